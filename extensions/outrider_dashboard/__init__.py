@@ -1,7 +1,12 @@
-"""Show a run in the browser while it is flown, and steer it.
+"""Show a run live in the browser, and control it.
 
-One process, one session on the bus. `sources` tell what happens, `hub` hands it to the browsers, `chart_data` keeps
-what the charts need, `controls` are the cards that can be touched (its `wheel` lets one browser at a time drive a
-UGV), `address` and `page_guard` hold the token and the bounds on requests, `shell` lays the page out, `app` puts them
-together. The pictures are drawn in the browser, by the files in `static`. Nothing is fetched from elsewhere.
+One process with one session on the bus:
+
+- `sources`: a live or a recorded run;
+- `hub`: sends its newest state to the browsers; `chart_data` stores the data of the charts;
+- `controls`: the interactive cards; `teleoperation` lets one browser at a time drive a UGV;
+- `address`, `page_guard`: token, security headers, limits on requests;
+- `shell`, `app`: layout of the page and the web server.
+
+The files in `static` draw the pictures in the browser. The page loads nothing from other servers.
 """

@@ -1,4 +1,4 @@
-"""Address of the page: the socket that it is served on, and the token that opens it."""
+"""Address of the page: listening socket and access token."""
 
 import errno
 import re
@@ -12,40 +12,42 @@ _TOKEN = re.compile(r"[A-Za-z0-9_-]{20,128}")
 
 
 def choose_token(host: str, token: str, *, wanted: bool = True) -> str:
-    """Return the token that opens the page; empty if every browser of this machine may.
+    """Return the access token of the page; empty if the page is open to all browsers on this machine.
 
     Args:
-        host: Address that the page is served on.
-        token: The user's own token; empty: a random one of 144 bits.
-        wanted: False serves the page without a token.
+        host: Address to serve the page on.
+        token: Token chosen by the user; empty: generate a random one of 144 bits.
+        wanted: False to serve the page without a token.
 
     Raises:
-        ScenarioError: If the token can be guessed, or other machines reach a page without one.
+        ScenarioError: If the token is too weak, or other machines can reach a page without a token.
     """
     if wanted:
         if token and not _TOKEN.fullmatch(token):
-            raise ScenarioError("--token: allowed are 20 to 128 letters, digits, '_' and '-'")
+            raise ScenarioError(
+                "--token: invalid token; allowed: 20 to 128 letters, digits, '_' and '-'"
+            )
         return token or secrets.token_urlsafe(18)
     if token:
         raise ScenarioError(
-            "--no-token: there is a token in --token or OUTRIDER_TOKEN; leave one of them out"
+            "--no-token: a token is set in --token or OUTRIDER_TOKEN; allowed: one of the two"
         )
     if host not in LOOPBACK:
         raise ScenarioError(
-            f"--no-token: other machines reach --host {host}; allowed: {', '.join(LOOPBACK)}"
+            f"--no-token: other machines can reach --host {host}; allowed: {', '.join(LOOPBACK)}"
         )
     return ""
 
 
 def open_socket(host: str, port: int) -> socket.socket:
-    """Return a socket that listens on an address of this machine.
+    """Open a listening socket on an address of this machine.
 
     Args:
-        host: Name or address.
-        port: 0 takes any free port.
+        host: Host name or IP address.
+        port: TCP port; 0: any free port.
 
     Raises:
-        ScenarioError: If the address is not one of this machine, or the port is taken.
+        ScenarioError: If the address does not belong to this machine, or the port is in use.
     """
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
@@ -68,7 +70,7 @@ def open_socket(host: str, port: int) -> socket.socket:
 
 
 def address_of(listening: socket.socket, token: str) -> str:
-    """Return the address that opens the page in a browser of this machine."""
+    """Return the URL of the page for a browser on this machine."""
     host, port = listening.getsockname()[:2]
     known = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)  # noqa: S104 - printed, not served
     return f"http://{known}:{port}/" + (f"?token={token}" if token else "")

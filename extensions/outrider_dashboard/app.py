@@ -1,4 +1,4 @@
-"""The web server: the page, its files, and a channel of frames to each browser."""
+"""Web server: the page, its files, and one WebSocket for each browser."""
 
 import asyncio
 import contextlib
@@ -22,18 +22,18 @@ from outrider.running.metrics import LINK, MISSION, NOW, PROCESS
 from outrider_dashboard.hub import Browser, Hub
 from outrider_dashboard.page_guard import LARGEST_HEAD, BoundedHead, Guard
 from outrider_dashboard.shell import BuildControls, build_page
-from outrider_dashboard.themes import drawn, style
+from outrider_dashboard.themes import palettes, style
 
 METRICS = {
     name: list(table.values())
     for name, table in (("now", NOW), ("mission", MISSION), ("link", LINK), ("process", PROCESS))
 }
-"""Tables of metrics from which the page takes labels, units, digits and meanings."""
+"""Tables of metrics: labels, units, digits and descriptions shown by the page."""
 STATIC = Path(__file__).with_name("static")
 
 
 class PageMessage(msgspec.Struct, forbid_unknown_fields=True):
-    """A message from a page."""
+    """Message from a page."""
 
     kind: str
     """`drawn`, `here`, `take`, `back` or `drive`."""
@@ -41,14 +41,14 @@ class PageMessage(msgspec.Struct, forbid_unknown_fields=True):
     vehicle: str = ""
 
 
-_WORDS = msgspec.json.Decoder(PageMessage)
+_DECODER = msgspec.json.Decoder(PageMessage)
 
 
-class _Fresh(StaticFiles):
-    """Files that a browser asks for again, so that a new version shows."""
+class _UncachedFiles(StaticFiles):
+    """Static files that browsers revalidate, so that they load new versions."""
 
     async def get_response(self, path: str, scope: MutableMapping[str, Any]) -> Response:
-        """The file."""
+        """Return the file with a header that disables caching."""
         response = await super().get_response(path, scope)
         response.headers["Cache-Control"] = "no-cache"
         return response
@@ -65,18 +65,18 @@ def serve(
     """Serve the page until SIGINT or SIGTERM.
 
     Args:
-        hub: What is shown.
-        listening: The socket to serve on.
-        token: Token that opens the page; empty: none is needed.
-        controls: Builds what can be touched in a page; None: nothing.
-        ready: Called when browsers can come.
+        hub: State of the run and its browsers.
+        listening: Socket to serve on.
+        token: Access token; empty: no token is required.
+        controls: Builds the controls of a page; None: a page without controls.
+        ready: Called when the server accepts browsers.
     """
     app = application(hub, token, controls=controls, ready=ready)
     web_server(app).run(sockets=[listening])
 
 
 def web_server(app: ASGIApp) -> uvicorn.Server:
-    """Return a server of an application, with bounds on requests."""
+    """Return a server for an application, with limits on request size and time."""
     config = uvicorn.Config(
         app,
         lifespan="on",
@@ -96,7 +96,10 @@ def web_server(app: ASGIApp) -> uvicorn.Server:
 def application(
     hub: Hub, token: str, *, controls: BuildControls | None, ready: Callable[[], None]
 ) -> ASGIApp:
-    """Return the guarded application; once a process, as NiceGUI exists once. Arguments as of `serve`."""
+    """Return the application behind its guard; arguments as for `serve`.
+
+    Call it once per process: NiceGUI has one global application.
+    """
 
     @contextlib.asynccontextmanager
     async def living(_app: FastAPI) -> AsyncIterator[None]:
@@ -112,11 +115,11 @@ def application(
     def colors() -> Response:
         return Response(style(), media_type="text/css", headers={"Cache-Control": "no-cache"})
 
-    app.mount("/static", _Fresh(directory=STATIC))
+    app.mount("/static", _UncachedFiles(directory=STATIC))
 
     @app.websocket("/frames")
     async def frames(channel: WebSocket) -> None:
-        await _accompany(hub, channel)
+        await _serve_browser(hub, channel)
 
     build_page(controls)
     ui.run_with(
@@ -130,21 +133,21 @@ def application(
     return Guard(app, token)
 
 
-async def _accompany(hub: Hub, channel: WebSocket) -> None:
-    """Frames to one browser and words from it, until it has gone."""
+async def _serve_browser(hub: Hub, channel: WebSocket) -> None:
+    """Send frames to a browser and handle its messages until it disconnects."""
     await channel.accept()
-    browser = hub.welcome(channel.client.host if channel.client else "")
+    browser = hub.add_browser(channel.client.host if channel.client else "")
     sending = asyncio.create_task(_send_frames(hub, browser, channel))
     try:
-        async for text in _words(channel):
-            _obey(hub, browser, text)
+        async for text in _messages(channel):
+            _handle(hub, browser, text)
     finally:
         sending.cancel()
-        hub.leave(browser)
+        hub.remove_browser(browser)
 
 
-async def _words(channel: WebSocket) -> AsyncIterator[str]:
-    """All that a browser says. Where it has gone while a frame was sent to it, that is a RuntimeError here."""
+async def _messages(channel: WebSocket) -> AsyncIterator[str]:
+    """Yield the messages of a browser; receiving raises RuntimeError if it disconnected during a send."""
     with contextlib.suppress(WebSocketDisconnect, RuntimeError, KeyError):
         while True:
             yield await channel.receive_text()
@@ -154,7 +157,7 @@ async def _send_frames(hub: Hub, browser: Browser, channel: WebSocket) -> None:
     hello = {
         "kind": "hello",
         "number": browser.number,
-        "colors": drawn(),
+        "colors": palettes(),
         "steer": hub.source.may_steer,
         "metrics": METRICS,
         "reasons": WHAT_HAPPENED,
@@ -162,23 +165,23 @@ async def _send_frames(hub: Hub, browser: Browser, channel: WebSocket) -> None:
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
         await channel.send_text(msgspec.json.encode(hello).decode())
         while True:
-            await browser.turn.wait()
-            browser.turn.clear()
+            await browser.ready.wait()
+            browser.ready.clear()
             await channel.send_text(hub.frame(browser).decode())
 
 
-def _obey(hub: Hub, browser: Browser, text: str) -> None:
+def _handle(hub: Hub, browser: Browser, text: str) -> None:
     try:
-        word = _WORDS.decode(text)
+        message = _DECODER.decode(text)
     except msgspec.DecodeError:
         return
-    hub.wheel.keep(browser.number)
-    match word.kind:
+    hub.teleoperation.mark_alive(browser.number)
+    match message.kind:
         case "drawn":
-            browser.in_hand = max(0, browser.in_hand - 1)
-        case "take" if word.vehicle in hub.drivers:
-            hub.wheel.take(browser.number, browser.name, word.vehicle)
+            browser.undrawn = max(0, browser.undrawn - 1)
+        case "take" if message.vehicle in hub.drivers:
+            hub.teleoperation.take_control(browser.number, browser.name, message.vehicle)
         case "back":
-            hub.wheel.hand_back(browser.number)
+            hub.teleoperation.hand_back(browser.number)
         case "drive":
-            hub.wheel.steer(browser.number, word.deflection)
+            hub.teleoperation.steer(browser.number, message.deflection)

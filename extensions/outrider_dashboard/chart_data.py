@@ -1,4 +1,4 @@
-"""The data of charts and tracks of a run so far, in bounded memory."""
+"""Data of the charts and paths of a run, in bounded memory."""
 
 import math
 from collections import deque
@@ -8,48 +8,52 @@ from bus.messages.links import LinkStatus
 from bus.messages.telemetry import EscortTruth, Status, Truth
 
 _FIRST_STRIDE = 0.1
-"""Simulated time between two rows at first [s]; doubles whenever the history is full."""
+"""Initial simulated time between two rows [s]; doubles whenever the history is full."""
 
-_ROOM = 2400
-"""So many rows are kept at most."""
+_MAX_ROWS = 2400
+"""Maximum number of rows."""
 
-_LATELY = 1.0
-"""Simulated time over which the share of lost messages is taken at least [s]."""
+_LOSS_WINDOW = 1.0
+"""Minimum simulated time over which the share of lost messages is averaged [s]."""
 
 Row = tuple[float | None, ...]
 
 
 class LossRates:
-    """Shares of messages that were lost lately, from the counters of one status after the other."""
+    """Recent share of lost messages on each link, from the counters of successive statuses."""
 
     def __init__(self) -> None:
-        self._told: deque[tuple[float, dict[str, LinkStatus]]] = deque()
+        self._samples: deque[tuple[float, dict[str, LinkStatus]]] = deque()
 
-    def take(self, status: Status) -> None:
-        """Take down how the links have done so far."""
-        told = self._told
-        if told and (status.time < told[-1][0] or told[-1][1].keys() != status.links.keys()):
-            told.clear()
-        if not told or told[-1][1] != status.links:
-            told.append((status.time, status.links))
-        while len(told) > 2 and told[1][0] <= status.time - _LATELY:
-            told.popleft()
+    def update(self, status: Status) -> None:
+        """Record the link counters of a status."""
+        samples = self._samples
+        if samples and (
+            status.time < samples[-1][0] or samples[-1][1].keys() != status.links.keys()
+        ):
+            samples.clear()
+        if not samples or samples[-1][1] != status.links:
+            samples.append((status.time, status.links))
+        while len(samples) > 2 and samples[1][0] <= status.time - _LOSS_WINDOW:
+            samples.popleft()
 
     def share(self, link: str) -> float | None:
-        """The share of a link's messages that was lost lately; None where nothing was sent."""
-        sent = self._grown(link, 0, lambda now: now.sent)
-        lost = self._grown(link, 0, lambda now: sum(now.lost.values()))
+        """Return the recent share of lost messages of a link; None if none were sent."""
+        sent = self._increase(link, 0, lambda now: now.sent)
+        lost = self._increase(link, 0, lambda now: sum(now.lost.values()))
         return min(1.0, lost / sent) if sent else None
 
-    def dark(self, at: float, *vehicles: str) -> bool:
-        """True if a blackout is on for one of these vehicles at a time [s].
+    def has_blackout(self, at: float, *vehicles: str) -> bool:
+        """Return True if one of these vehicles has a blackout at a time [s].
 
-        A planned one, or one that has taken something.
+        The blackout is a planned one, or a random one that has dropped messages.
         """
-        if not self._told:
+        if not self._samples:
             return False
         links = {
-            name: link for name, link in self._told[-1][1].items() if name.split("/")[0] in vehicles
+            name: link
+            for name, link in self._samples[-1][1].items()
+            if name.split("/")[0] in vehicles
         }
         planned = [
             row
@@ -59,45 +63,44 @@ class LossRates:
         ]
         if any(start <= at < start + length for start, length in planned):
             return True
-        lately = (
-            len(self._told) > 1 and max(at, self._told[-1][0]) - self._told[-2][0] <= 2.0 * _LATELY
-        )
-        return lately and any(
-            self._grown(name, -2, lambda now: now.lost.get("blackout", 0)) for name in links
+        samples = self._samples
+        recent = len(samples) > 1 and max(at, samples[-1][0]) - samples[-2][0] <= 2.0 * _LOSS_WINDOW
+        return recent and any(
+            self._increase(name, -2, lambda now: now.lost.get("blackout", 0)) for name in links
         )
 
-    def _grown(self, link: str, since: int, count: Callable[[LinkStatus], int]) -> int:
-        if len(self._told) < 2 or link not in self._told[-1][1]:
+    def _increase(self, link: str, since: int, count: Callable[[LinkStatus], int]) -> int:
+        if len(self._samples) < 2 or link not in self._samples[-1][1]:
             return 0
-        return count(self._told[-1][1][link]) - count(self._told[since][1][link])
+        return count(self._samples[-1][1][link]) - count(self._samples[since][1][link])
 
 
 class ChartData:
-    """Rows of numbers over simulated time, thinned out as the run goes on.
+    """Rows of numbers over simulated time, thinned out as the run proceeds.
 
-    A row is: time [s], real-time factor; x and y of each vehicle [m]; then for each escort the distance [m], e(t) [m²],
-    the error of the estimate [m] and the age of its newest detection [s] (None without one), the share of detections
-    lost lately, and 1 where there is a blackout.
+    Columns: time [s], real-time factor; x and y of each vehicle [m]; then for each escort the distance [m], e(t) [m²],
+    the estimation error [m], the age of the newest detection [s] (None without one), the recent share of lost
+    detections, and 1 during a blackout, else 0.
     """
 
     def __init__(self) -> None:
         self._stride = _FIRST_STRIDE
         self.rows: list[Row] = []
         self.newest: Row = ()
-        """The row of the latest truth, whether it was kept or not."""
+        """Row of the latest truth, whether or not it was stored."""
         self.vehicles: tuple[str, ...] = ()
         self.escorts: tuple[tuple[str, str], ...] = ()
         self.losses = LossRates()
         self.generation = 0
-        """Another number: the rows before are no longer those that are kept now."""
+        """Counter that increases when stored rows are dropped or replaced."""
 
     def add(self, truth: Truth, factor: float, dt: float) -> None:
-        """Take down a truth.
+        """Add the row of a truth.
 
         Args:
-            truth: What is true now.
+            truth: True state of the run.
             factor: Simulated seconds per second of wall time.
-            dt: Length of a tick [s]; the UAV reported one tick ago.
+            dt: Duration of a tick [s]; the UAV's report is one tick old.
         """
         vehicles = tuple(truth.vehicles)
         escorts = tuple((escort.uav, escort.ugv) for escort in truth.escorts)
@@ -105,12 +108,12 @@ class ChartData:
             self.newest and truth.time < (self.newest[0] or 0.0)
         ):
             self.vehicles, self.escorts = vehicles, escorts
-            self.rows, self._stride = [], _FIRST_STRIDE  # another flight begins
+            self.rows, self._stride = [], _FIRST_STRIDE  # another run begins
             self.generation += 1
         self.newest = _row(truth, factor, dt, self.losses)
         if not self.rows or truth.time - (self.rows[-1][0] or 0.0) >= self._stride - 1e-9:
             self.rows.append(self.newest)
-        if len(self.rows) > _ROOM:
+        if len(self.rows) > _MAX_ROWS:
             self.rows = self.rows[::2]
             self._stride *= 2.0
             self.generation += 1
@@ -130,13 +133,13 @@ def _row(truth: Truth, factor: float, dt: float, losses: LossRates) -> Row:
         row += (
             None if escort.report is None else round(escort.report.age, 3),
             None if lost is None else round(lost, 2),
-            float(losses.dark(truth.time, escort.uav, escort.ugv)),
+            float(losses.has_blackout(truth.time, escort.uav, escort.ugv)),
         )
     return tuple(row)
 
 
 def _estimate_error(truth: Truth, escort: EscortTruth, dt: float) -> float | None:
-    """Distance of the reported estimate from the UGV's place when it was reported [m]."""
+    """Return the distance between the reported estimate and the UGV's position at that tick [m]."""
     ugv = truth.vehicles.get(escort.ugv)
     if escort.report is None or ugv is None:
         return None

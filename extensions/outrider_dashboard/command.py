@@ -1,4 +1,4 @@
-"""`outrider dashboard`: the live page of a run."""
+"""`outrider dashboard`: live web page of a run."""
 
 import os
 import socket
@@ -17,7 +17,7 @@ _Port = Annotated[
     int,
     typer.Option(
         "--port",
-        help="Where the page is served; 0 takes any that is free.",
+        help="Port to serve the page on; 0: any free port.",
         min=0,
         max=65535,
         envvar="OUTRIDER_PORT",
@@ -28,8 +28,7 @@ _Token = Annotated[
     str,
     typer.Option(
         "--token",
-        help="Token that opens the page: 20 to 128 letters, digits, '_' and '-'; random by "
-        "default. Other users of this machine see a command line, but not OUTRIDER_TOKEN.",
+        help="Set the access token; safer in OUTRIDER_TOKEN than on the command line.",
         envvar="OUTRIDER_TOKEN",
         show_default=False,
         show_envvar=True,
@@ -39,7 +38,7 @@ _NoToken = Annotated[
     bool,
     typer.Option(
         "--no-token",
-        help="Open the page without a token, on a machine with one user.",
+        help="Serve the page without a token, on a single-user machine.",
         envvar="OUTRIDER_NO_TOKEN",
     ),
 ]
@@ -49,7 +48,7 @@ if TYPE_CHECKING:
     from outrider.running.parent import Start
 
 _NICE = 5
-"""On a machine that is busy the run goes first."""
+"""Lower priority than the run on a busy machine."""
 
 
 def command(
@@ -64,25 +63,27 @@ def command(
     no_token: _NoToken = False,
     replay: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Play this recording instead, with a slider over time."),
+        typer.Option(metavar="FILE", help="Play this recording instead of a live run."),
     ] = None,
     flight: options.FlightNumber = None,
     realtime: Annotated[
         float,
         typer.Option(
             metavar="F",
-            help="Speed of a recording, in simulated seconds a second.",
+            help="Set the playback speed, in simulated seconds per second.",
             min=0.01,
             max=1e6,
         ),
     ] = 1.0,
     child: options.Child = False,
 ) -> None:
-    """Show a run in the browser while it is flown, and steer it.
+    """Show a run live in the browser, and control it.
 
-    Pause, speed, law, driver, and a UGV's wheel are steered with the operator's credentials; with the observer's it
-    only shows. Runs until Ctrl-C or SIGTERM. Needs no internet. The printed address contains a token that opens the
-    page. `outrider run --with dashboard` starts one with the run.
+    With the operator's credentials, users can pause the run, change its speed, law, driver and links, and drive a UGV.
+    With the observer's credentials, the page is read-only. Open the printed address, which contains the access token:
+    20 to 128 letters, digits, '_' and '-', random by default. Other users of this machine can read a token on the
+    command line, but not in OUTRIDER_TOKEN. The page needs no internet access. Ends at Ctrl-C or SIGTERM.
+    `outrider run --with dashboard` starts the dashboard together with the run.
 
     Example: outrider dashboard --connect tcp/127.0.0.1:17447 --credentials credentials/operator.json
     """
@@ -112,15 +113,15 @@ def command(
 def _show_run(
     joining: options.Joining, opened: socket.socket, token: str, start: "Start | None"
 ) -> None:
-    """Serve the page of a run; as a child of the run, write to standard output when it is ready and over."""
+    """Serve the page of a run; as a child process, report on standard output when it is ready and over."""
     from outrider.cli.console import ERR
     from outrider_dashboard.address import address_of
     from outrider_dashboard.app import serve
     from outrider_dashboard.controls.run_card import Controls
     from outrider_dashboard.hub import Hub
-    from outrider_dashboard.sources.live import Live
+    from outrider_dashboard.sources.live import LiveRun
 
-    line = f"the run is shown at {address_of(opened, token)}"
+    line = f"dashboard of the run: {address_of(opened, token)}"
 
     def report(text: str) -> None:
         if start is None:
@@ -134,7 +135,7 @@ def _show_run(
             report("over")
 
     with joining.session() as session:
-        hub = Hub(Live(session), start.law if start is not None else None, on_end)
+        hub = Hub(LiveRun(session), start.law if start is not None else None, on_end)
         controls = (lambda: Controls(hub).show) if hub.source.may_steer else None
         serve(hub, opened, token, controls=controls, ready=lambda: report(line))
 
@@ -145,16 +146,16 @@ def _show_recording(recording: "Recording", speed: float, host: str, port: int, 
     from outrider_dashboard.app import serve
     from outrider_dashboard.controls.player import Player
     from outrider_dashboard.hub import Hub
-    from outrider_dashboard.sources.tape import Tape
+    from outrider_dashboard.sources.recorded import RecordedRun
 
     with open_socket(host, port) as opened:
-        tape = Tape(recording, speed)
-        hub = Hub(tape)
-        line = f"{recording.path} is played at {address_of(opened, token)}; Ctrl-C ends it"
+        recorded = RecordedRun(recording, speed)
+        hub = Hub(recorded)
+        line = f"dashboard of {recording.path}: {address_of(opened, token)} (stop with Ctrl-C)"
         serve(
             hub,
             opened,
             token,
-            controls=lambda: Player(hub, tape).show,
+            controls=lambda: Player(hub, recorded).show,
             ready=lambda: ERR.tell(line),
         )

@@ -1,4 +1,4 @@
-"""The page beside a run or a recording, the entry point `outrider.companions`."""
+"""Dashboard as a companion of a run or recording; entry point `outrider.companions`."""
 
 from outrider.running.companions import Companion
 

@@ -1,8 +1,7 @@
-"""Between a run, or its recording, and the browsers.
+"""Distribution of a live or recorded run to the browsers.
 
-The newest of everything, to each as fast as it can take it and not faster.
-
-Nobody waits for a browser: one that has not drawn its last frames gets no new one.
+Each browser receives the newest state at its own pace: it gets no new frame until it has drawn earlier ones. A slow
+browser delays neither the run nor the other browsers.
 """
 
 import asyncio
@@ -19,24 +18,23 @@ from bus.messages.ground import GroundMap
 from bus.messages.scenario import Law
 from bus.messages.telemetry import CoverageMap, Status, Truth
 from outrider_dashboard.chart_data import ChartData
-from outrider_dashboard.controls.link_words import said_of_links
-from outrider_dashboard.controls.wheel import SharedWheel
+from outrider_dashboard.controls.link_settings import describe_links
+from outrider_dashboard.controls.teleoperation import SharedTeleoperation
 from outrider_dashboard.sources.protocol import Source
 from sim.scene.model import Scene, observed_scene
 
 FRAME = 0.05
-"""Wall time between two frames of one browser at least [s]."""
+"""Minimum wall time between two frames to one browser [s]."""
 _POLL = 0.0125
-"""Wall time between two looks for news [s]."""
+"""Wall time between two polls of the source [s]."""
 _IDLE_POLL = 0.1
-"""The same while nobody looks on."""
+"""Wall time between two polls while no browser is connected [s]."""
 _ALIVE = 0.5
-"""A browser is sent something at least this often [s], also when nothing moves."""
-_AHEAD = 2
-"""Frames that a browser may have in hand."""
+"""Maximum wall time between two frames to one browser, even without new messages [s]."""
+_MAX_UNDRAWN = 2
+"""Frames sent to a browser before it must confirm drawing one."""
 _CHANGES = 20
-"""So many changes a status tells at most."""
-
+"""Maximum number of changes listed in a status."""
 
 _PARTS: dict[type[Message], str] = {
     Truth: "truth",
@@ -44,33 +42,34 @@ _PARTS: dict[type[Message], str] = {
     CoverageMap: "map",
     GroundMap: "ground",
 }
-"""The messages of which a browser gets the newest, by their names in a frame."""
+"""Names in a frame of the messages that a browser receives."""
 
 
 class Browser:
-    """One page that looks on."""
+    """One connected page."""
 
     def __init__(self, number: int, name: str) -> None:
         self.number, self.name = number, name
-        self.turn = asyncio.Event()
-        self.due = self.told = 0.0
-        self.in_hand = 0
+        self.ready = asyncio.Event()
+        self.due = self.sent = 0.0
+        self.undrawn = 0
         self.versions = dict.fromkeys(_PARTS, 0)
-        """Those that it has."""
+        """Version of each message sent last."""
         self.generation, self.rows = -1, 0
 
     def is_due(self, now: float, news: bool) -> bool:
-        """True if it can take a frame now."""
-        return self.in_hand < _AHEAD and now >= self.due and (news or now - self.told >= _ALIVE)
+        """Return True if a frame should be sent now."""
+        due = self.undrawn < _MAX_UNDRAWN and now >= self.due
+        return due and (news or now - self.sent >= _ALIVE)
 
 
 class Hub:
-    """Keeps the newest of a run, and the browsers that look on.
+    """Newest state of a run, and the connected browsers.
 
     Args:
-        source: Where it is flown, or played.
-        law: What the UAVs fly at first, where that is known.
-        on_end: Called when all browsers have been given the end of a flight.
+        source: Live or recorded run.
+        law: Initial law of the UAVs, if known.
+        on_end: Called when all browsers have received the end of a run.
     """
 
     def __init__(
@@ -81,48 +80,48 @@ class Hub:
         self.status: Status | None = None
         self.first_law = law
         self.browsers: dict[int, Browser] = {}
-        self.wheel = SharedWheel(source.control, source.drive)
-        self._on_end, self._end_is_told = on_end, False
+        self.teleoperation = SharedTeleoperation(source.control, source.drive)
+        self._on_end, self._end_reported = on_end, False
         self._numbers = 0
         self._versions = dict.fromkeys(_PARTS, 0)
         self._raw: dict[type[Message], msgspec.Raw] = {}
 
     async def follow(self) -> None:
-        """Look for news and give each browser its turn, until cancelled."""
+        """Poll the source and schedule the frames of each browser, until cancelled."""
         while True:
-            self.take_in()
-            self.wheel.check()
+            self.update()
+            self.teleoperation.check()
             now = time.monotonic()
             for browser in self.browsers.values():
                 if browser.is_due(now, self._has_news(browser)):
                     browser.due = max(browser.due, now - FRAME) + FRAME
-                    browser.told = now
-                    browser.turn.set()
-            self._tell_of_the_end()
+                    browser.sent = now
+                    browser.ready.set()
+            self._report_end()
             await asyncio.sleep(_POLL if self.browsers else _IDLE_POLL)
 
-    def _tell_of_the_end(self) -> None:
+    def _report_end(self) -> None:
         if self.status is None or not self.status.over:
-            self._end_is_told = False
-        elif not self._end_is_told and not any(map(self._has_news, self.browsers.values())):
-            self._end_is_told = True
+            self._end_reported = False
+        elif not self._end_reported and not any(map(self._has_news, self.browsers.values())):
+            self._end_reported = True
             self._on_end()
 
-    def take_in(self) -> None:
-        """Take what has come."""
+    def update(self) -> None:
+        """Process the new messages of the source."""
         newest: dict[type[Message], Message] = {}
         for message in self.source.news():
             newest[type(message)] = message
             if isinstance(message, Status):
                 self.status = message
-                self.history.losses.take(message)
-                self.wheel.follow(message)
+                self.history.losses.update(message)
+                self.teleoperation.update(message)
             elif isinstance(message, Truth):
                 self.history.add(message, self.source.factor, self._dt)
         for message in newest.values():
-            self._keep(message)
+            self._store(message)
 
-    def _keep(self, message: Message) -> None:
+    def _store(self, message: Message) -> None:
         kind = type(message)
         encoded = msgspec.Raw(msgspec.json.encode(message))
         if kind in (CoverageMap, GroundMap) and self._raw.get(kind) == encoded:
@@ -132,7 +131,7 @@ class Hub:
 
     @property
     def _scene(self) -> Scene | None:
-        """The map's scene, as far as it is known."""
+        """Scene of the map; None until it is known."""
         status, escorts = self.status, dict(self.history.escorts)
         if status is None or not self.history.vehicles:
             return None
@@ -147,7 +146,7 @@ class Hub:
 
     @property
     def drivers(self) -> Mapping[str, str]:
-        """The driver of each UGV."""
+        """Driver of each UGV."""
         if self.status is None:
             return {}
         if self.status.drivers:
@@ -156,18 +155,18 @@ class Hub:
 
     @property
     def law(self) -> Law | None:
-        """The UAVs' law now, with its gains; None where those are not known."""
+        """Current law of the UAVs with its gains; None if the gains are unknown."""
         return None if self.status is None else running_law(self.status, self.first_law)
 
     def close(self) -> None:
-        """Say no more."""
-        self.wheel.release()
+        """Release control and close the source."""
+        self.teleoperation.release()
         self.source.close()
 
-    # What goes to the browsers
+    # Browsers
 
-    def welcome(self, host: str) -> Browser:
-        """A page has opened, on this machine or another."""
+    def add_browser(self, host: str) -> Browser:
+        """Register a page, opened on this machine or another."""
         self._numbers += 1
         browser = Browser(
             self._numbers, f"browser {self._numbers}" + ("" if host in LOOPBACK else f" at {host}")
@@ -175,16 +174,16 @@ class Hub:
         self.browsers[browser.number] = browser
         return browser
 
-    def leave(self, browser: Browser) -> None:
-        """A page has gone."""
+    def remove_browser(self, browser: Browser) -> None:
+        """Unregister a closed page and release its control."""
         self.browsers.pop(browser.number, None)
-        self.wheel.leave(browser.number)
+        self.teleoperation.leave(browser.number)
 
     def _has_news(self, browser: Browser) -> bool:
         return browser.versions != self._versions
 
     def frame(self, browser: Browser) -> bytes:
-        """All that is new for this browser, as JSON."""
+        """Return the messages that are new to this browser, as JSON."""
         frame: dict[str, Any] = {"kind": "frame", "state": self._state(browser)}
         for kind, version in self._versions.items():
             if browser.versions[kind] != version:
@@ -192,7 +191,7 @@ class Hub:
         if "truth" in frame:
             frame["now"] = self.history.newest
         if "status" in frame:
-            frame["links"] = None if self.status is None else said_of_links(self.status)
+            frame["links"] = None if self.status is None else describe_links(self.status)
         history = self.history
         if browser.generation != history.generation:
             frame["history"] = {"vehicles": history.vehicles, "escorts": history.escorts}
@@ -202,43 +201,42 @@ class Hub:
         if browser.rows < len(history.rows):
             frame["rows"] = history.rows[browser.rows :]
             browser.rows = len(history.rows)
-        browser.in_hand += 1
+        browser.undrawn += 1
         return msgspec.json.encode(frame)
 
     def _state(self, browser: Browser) -> dict[str, Any]:
-        wheel = self.wheel
+        teleoperation = self.teleoperation
         return {
-            **msgspec.structs.asdict(self.source.standing),
+            **msgspec.structs.asdict(self.source.state),
             "factor": self.source.factor,
             "browsers": len(self.browsers),
-            "wheel": "mine"
-            if wheel.holder == browser.number
+            "control": "mine"
+            if teleoperation.holder == browser.number
             else "other"
-            if wheel.holder
+            if teleoperation.holder
             else "free",
-            "driver": wheel.name,
-            "vehicle": wheel.vehicle,
-            "full": wheel.full,
-            "back": wheel.can_be_handed_back(),
-            "strangers": wheel.strangers(),
+            "operator": teleoperation.name,
+            "vehicle": teleoperation.vehicle,
+            "can_hand_back": teleoperation.can_be_handed_back(),
+            "other_operators": teleoperation.other_operators(),
         }
 
 
 def running_law(status: Status, first: Law | None) -> Law | None:
-    """The law that is flown, with its gains; None where those are not known.
+    """Return the current law with its gains; None if the gains are unknown.
 
     Args:
-        status: Tells its name, and the last changes; a reset brings the first law back.
-        first: What was flown at first, where that is known.
+        status: Status with the law's name and the latest changes; a reset restores the initial law.
+        first: Initial law, if known.
     """
     changes = status.changes
-    begun = max(
+    start = max(
         (k + 1 for k, change in enumerate(changes) if change.control.action is Action.RESET),
         default=0,
     )
     chosen = [
-        change.control.law for change in changes[begun:] if change.control.action is Action.LAW
+        change.control.law for change in changes[start:] if change.control.action is Action.LAW
     ]
-    complete = begun or len(changes) < _CHANGES
+    complete = start or len(changes) < _CHANGES
     law = chosen[-1] if chosen else first if complete else None
     return law if law is not None and law.name == status.law else None

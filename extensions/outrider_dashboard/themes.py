@@ -1,4 +1,4 @@
-"""The page's colours: those of every picture, on a light and on a dark ground."""
+"""Colors of the page for its light and dark themes."""
 
 from typing import Any
 
@@ -18,8 +18,8 @@ _DARK_TILES = (
 )
 
 
-def drawn() -> dict[str, dict[str, Any]]:
-    """The colours of the pictures that are drawn in the browser."""
+def palettes() -> dict[str, dict[str, Any]]:
+    """Return the colors of the canvas drawings, by theme."""
     return {
         "light": {
             "uav": colors.UAV,
@@ -61,13 +61,13 @@ def drawn() -> dict[str, dict[str, Any]]:
 
 
 def _shades(stops: tuple[str, ...]) -> list[str]:
-    """The colour of the ground by the byte that says how much of its coverage it has."""
+    """Return the colors of a coverage map, one for each value of its cells, 0 to 255."""
     return [colors.covered(k / 255.0, stops) for k in range(256)]
 
 
 def style() -> str:
-    """The colours as variables of CSS: light ones, and dark ones where the page is dark."""
-    light, dim = (_variables(palette) for palette in drawn().values())
+    """Return the colors as CSS variables of the light and the dark theme."""
+    light, dim = (_variables(palette) for palette in palettes().values())
     light |= {
         "uav-ink": "#ffffff",
         "page": "#f3f4f6",

@@ -1,4 +1,4 @@
-"""Show a run to MAVLink ground stations, or fly a UAV by it.
+"""MAVLink over UDP: show a run in ground stations, or control a UAV.
 
-MAVLink over UDP: a run for ground stations, a UAV flown by offboard setpoints, an autopilot that flies along.
+A UAV is controlled by offboard setpoints, or a real autopilot tracks its reference state.
 """

@@ -1,10 +1,10 @@
-"""An autopilot that flies along: the inner loop of a UAV, whose telemetry comes in and whose setpoints go out.
+"""Real autopilot as the inner loop of a simulated UAV: telemetry in, setpoints out.
 
-In a run a UAV's position is the one that its inner loop is to hold it to, and how far it truly is from there at most is
-declared: `certificate.max_tracking_error`. A real autopilot is such a loop. It is sent that position, its velocity and
-acceleration; where it says to be farther off than declared, or says nothing, its UAV in the run stays where it is, as
-far as the safety filter lets it, and nothing is certified. Its telemetry moves nothing in the run otherwise: the
-detections of a UGV that is simulated are simulated too.
+The state of a UAV in the run is the reference state of its inner loop; `certificate.max_tracking_error` bounds the
+tracking error. The autopilot receives position, velocity and acceleration of the reference state as setpoints. If its
+reported tracking error exceeds the bound, or its telemetry is missing, the UAV in the run holds its position inside the
+safety filter, and nothing is certified. The telemetry has no other effect on the run: the UGV and its detections are
+simulated.
 """
 
 import logging
@@ -26,129 +26,134 @@ from outrider_mavlink.identity import AUTOPILOT, status_texts
 from outrider_mavlink.setpoints import REST, bounds, setpoint_control
 from outrider_mavlink.udp import UNREADABLE, Address, Network, Peer
 
-OTHER_AUTOPILOT = "comes from another party than the autopilot"
-OLDER = "is older than what came before"
+OTHER_AUTOPILOT = "comes from another autopilot"
+OLDER = "is older than the previous message"
 
 _LOG = logging.getLogger("outrider.mavlink")
-_SILENCE = 1.0
-"""After so long without telemetry nothing is known of the autopilot [s]."""
-_LEFT = 3.0
-"""After so long without a message the autopilot has gone, and another party with its system number is it [s]."""
+_TELEMETRY_TIMEOUT = 1.0
+"""Age beyond which the telemetry is invalid [s]."""
+_PEER_TIMEOUT = 3.0
+"""Time without a message after which the autopilot may reconnect from another address [s]."""
 _CLOCK = 1 << 32
-"""Its clock starts again at 0 after this many milliseconds."""
+"""Period of the autopilot's clock [ms]."""
 _REPEAT = 1.0
-"""Time between two texts to one party about one cause [s]."""
-_MOST_TEXTS = 16
-_STANDS = 0.3
-"""After so long without a tick the run stands still, and what is wanted is to stay [s]."""
+"""Minimum time between two texts to one address about one cause [s]."""
+_MAX_TEXTS = 16
+_PAUSED = 0.3
+"""Time without a tick after which the run counts as paused and the setpoint as one at rest [s]."""
 _RESEND = 0.1
-"""The longest time between two setpoints [s]: an autopilot gives up where they stay out."""
-_BEAT = 1.0
-_SPEEDING = 1.1
-"""So much faster than its bound, as a share, a UAV may say to be: a loop overshoots."""
-_ASKED = 50_000.0
-"""Time between two reports of its position that is asked for [µs]."""
+"""Maximum time between two setpoints; an autopilot leaves its offboard mode without them [s]."""
+_HEARTBEAT = 1.0
+"""Time between two heartbeats [s]."""
+_SPEED_TOLERANCE = 1.1
+"""Maximum reported speed as a multiple of the UAV's bound, to allow for overshoot."""
+_TELEMETRY_INTERVAL = 50_000.0
+"""Requested time between two position reports [µs]."""
 _NO_YAW = 0b110_000_000_000
 _NO_AUTOPILOT = mavlink.MAV_AUTOPILOT_INVALID
 
 
 class Reported(NamedTuple):
-    """The autopilot's own word on where it is, in its local frame."""
+    """Position and velocity reported by the autopilot, in its local frame."""
 
     boot: int
-    """Its clock [ms]."""
+    """Time on the autopilot's clock [ms]."""
     position: Vector
     """East and north [m]."""
     down: float
-    """[m]"""
+    """Down [m]."""
     velocity: Vector
     """East and north [m/s]."""
     received: float
-    """Of our clock [s]."""
+    """Time on the local monotonic clock [s]."""
 
 
-class _Wanted(NamedTuple):
-    """The setpoint that the autopilot is to hold."""
+class _Reference(NamedTuple):
+    """Reference state to send to the autopilot, in scenario coordinates."""
 
     position: Vector
     velocity: Vector
     acceleration: Vector
     since: float
-    """Of our clock [s]."""
+    """Time on the local monotonic clock [s]."""
 
 
-def _log_refused(refused: Refused, count: int) -> None:
-    _LOG.warning("refused %d: %s %s", count, refused.what, refused.cause)
+def _log_rejected(refused: Refused, count: int) -> None:
+    _LOG.warning("rejected %d: %s %s", count, refused.what, refused.cause)
 
 
 class AutopilotLink:
-    """Receives from an autopilot, and tells it what to hold.
+    """Connection to an autopilot: receives its telemetry and sends setpoints.
 
     Args:
-        network: Where it is reached.
+        network: UDP sockets.
     """
 
     def __init__(self, network: Network) -> None:
         self.network = network
-        self.refusals = Refusals(_log_refused)
+        self.refusals = Refusals(_log_rejected)
         self.peer: Peer | None = None
-        """The autopilot; None: none has been received from."""
+        """Address and numbers of the autopilot; None: none connected so far."""
         self.armed = False
+        """True if the autopilot is armed."""
         self.reported: Reported | None = None
-        """Its newest telemetry that was believed."""
+        """Newest valid telemetry; None: none so far."""
         self.reports = self.setpoints = 0
-        """Telemetry that was believed, and setpoints that were sent."""
+        """Numbers of valid telemetry messages and of sent setpoints."""
         self.max_speed = math.inf
-        """The UAV's bound [m/s]."""
-        self.wanted: _Wanted | None = None
+        """Maximum speed of the UAV [m/s]."""
+        self.reference: _Reference | None = None
+        """Reference state to send; None: none so far."""
         self.anchor: Vector | None = None
-        """Its local position where the scenario's origin is [m]: when it joins it is where its UAV is then."""
-        self.refused = ""
-        """Why its newest telemetry was refused; empty: it was not."""
-        self._stories: deque[str] = deque(maxlen=_MOST_TEXTS)
-        self._said: dict[tuple[str, Address], float] = {}
+        """Local position of the scenario's origin, set when autopilot and UAV coincide at the start [m]."""
+        self.rejected = ""
+        """Reason why the newest telemetry was rejected; empty: it was accepted."""
+        self._pending_texts: deque[str] = deque(maxlen=_MAX_TEXTS)
+        self._text_times: dict[tuple[str, Address], float] = {}
         self._texts = 0
         self._last_received = -math.inf
         self._down = 0.0
-        self._sent = self._beat = -math.inf
-        self._told: _Wanted | None = None
+        self._sent = self._heartbeat = -math.inf
+        self._sent_reference: _Reference | None = None
         self._packer: MavMessage = None
 
     def turn(self, patience: float) -> None:
-        """Take in what has come, after a wait of up to `patience` [s] for the first of it."""
+        """Process the received messages; wait up to `patience` [s] for the first one."""
         before = self.network.unreadable
         for peer, message in self.network.receive(patience):
-            self._take(peer, message)
+            self._handle(peer, message)
         for peer, message in self.network.turned_away:
-            self._refuse(TOO_MANY, f"{message.get_type()} of {peer}", peer)
+            self._reject(TOO_MANY, f"{message.get_type()} of {peer}", peer)
         if self.network.unreadable > before:
-            self.refusals.add(Refused(UNREADABLE, "bytes"), self.network.unreadable - before)
+            self.refusals.add(Refused(UNREADABLE, "datagram"), self.network.unreadable - before)
 
     def refresh(self) -> None:
-        """Tell the autopilot what to hold, if it is time."""
+        """Send heartbeats, texts and setpoints that are due."""
         now = time.monotonic()
         if self.peer is None:
             return
-        while self._stories:
-            self._send_text(self._stories.popleft(), self.peer.address)
-        if now - self._beat >= _BEAT:
-            self._beat = now
-            if self.reported is None or now - self.reported.received > _SILENCE:
-                self._ask(self.peer)  # one that has started again does not remember it
+        while self._pending_texts:
+            self._send_text(self._pending_texts.popleft(), self.peer.address)
+        if now - self._heartbeat >= _HEARTBEAT:
+            self._heartbeat = now
+            if self.reported is None or now - self.reported.received > _TELEMETRY_TIMEOUT:
+                self._request_telemetry(self.peer)  # a restarted autopilot has lost the request
             kind = mavlink.MAV_TYPE_ONBOARD_CONTROLLER
             self._send(mavlink.MAVLink_heartbeat_message(kind, _NO_AUTOPILOT, 0, 0, 4, 3))
-        wanted = self.wanted
-        if wanted is not None and (wanted is not self._told or now - self._sent >= _RESEND):
-            self._told, self._sent = wanted, now
-            self._send_setpoint(wanted, stands=now - wanted.since > _STANDS)
+        reference = self.reference
+        if reference is not None and (
+            reference is not self._sent_reference or now - self._sent >= _RESEND
+        ):
+            self._sent_reference, self._sent = reference, now
+            self._send_setpoint(reference, paused=now - reference.since > _PAUSED)
 
-    def _send_setpoint(self, wanted: _Wanted, *, stands: bool) -> None:
+    def _send_setpoint(self, reference: _Reference, *, paused: bool) -> None:
         if self.peer is None or self.anchor is None or self.reported is None:
             return
-        (x, y), (a_x, a_y) = wanted.position, self.anchor
-        nothing = (0.0, 0.0)
+        (x, y), (a_x, a_y) = reference.position, self.anchor
+        zero = (0.0, 0.0)
         (v_x, v_y), (u_x, u_y) = (
-            (nothing, nothing) if stands else (wanted.velocity, wanted.acceleration)
+            (zero, zero) if paused else (reference.velocity, reference.acceleration)
         )
         self.setpoints += 1
         self._send(
@@ -161,7 +166,7 @@ class AutopilotLink:
                 *(y + a_y, x + a_x, self._down),
                 *(v_y, v_x, 0.0),
                 *(u_y, u_x, 0.0),
-                *nothing,
+                *zero,
             )
         )
 
@@ -169,73 +174,75 @@ class AutopilotLink:
         to = None if self.peer is None else self.peer.address
         self.network.send(packed(message, self._packer), message.get_type(), to)
 
-    def _take(self, peer: Peer, message: MavMessage) -> None:
+    def _handle(self, peer: Peer, message: MavMessage) -> None:
         kind = message.get_type()
-        if kind == "HEARTBEAT" and message.autopilot != _NO_AUTOPILOT and self._may_be(peer):
-            self._meet(peer)
+        if kind == "HEARTBEAT" and message.autopilot != _NO_AUTOPILOT and self._is_autopilot(peer):
+            self._connect(peer)
         if kind not in ("HEARTBEAT", "LOCAL_POSITION_NED"):
             return
         if peer != self.peer:
             if self.peer is not None and getattr(message, "autopilot", 0) != _NO_AUTOPILOT:
-                hint = f"; accepted after {_LEFT:g} s of its silence" if self._same(peer) else ""
-                self._refuse(OTHER_AUTOPILOT, f"{kind} of {peer}", peer, hint)
+                hint = (
+                    f"; accepted after {_PEER_TIMEOUT:g} s of silence" if self._same(peer) else ""
+                )
+                self._reject(OTHER_AUTOPILOT, f"{kind} of {peer}", peer, hint)
             return
         self._last_received = time.monotonic()
         if kind == "HEARTBEAT":
             self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         else:
-            self._take_position(peer, message)
+            self._update_position(peer, message)
 
     def _same(self, peer: Peer) -> bool:
-        """Return whether this party has the autopilot's numbers, at whatever address."""
+        """Return True if a peer has the autopilot's system and component numbers, at any address."""
         return self.peer is not None and peer[1:] == self.peer[1:]
 
-    def _may_be(self, peer: Peer) -> bool:
-        """Return whether this party is the autopilot: the first one, or the same one at another port."""
+    def _is_autopilot(self, peer: Peer) -> bool:
+        """Return True if a peer is the autopilot: the first one, or the same one at a new address."""
         if self.peer is None:
             return True
-        gone = time.monotonic() - self._last_received > _LEFT
-        return gone and peer != self.peer and self._same(peer)
+        silent = time.monotonic() - self._last_received > _PEER_TIMEOUT
+        return silent and peer != self.peer and self._same(peer)
 
-    def _refuse(self, cause: str, what: str, peer: Peer, hint: str = "") -> None:
-        """Count what is refused, and say why to its sender."""
+    def _reject(self, cause: str, what: str, peer: Peer, hint: str = "") -> None:
+        """Count a rejected message, and send the reason to its sender."""
         self.refusals.add(Refused(cause, what))
-        self.refused = f"{what} {cause}"
+        self.rejected = f"{what} {cause}"
         now, key = time.monotonic(), (cause, peer.address)
-        if self._packer is None or now - self._said.get(key, -math.inf) < _REPEAT:
+        if self._packer is None or now - self._text_times.get(key, -math.inf) < _REPEAT:
             return
-        if len(self._said) >= _MOST_TEXTS:
-            self._said.clear()
-        self._said[key] = now
-        self._send_text(f"refused: {self.refused}{hint}", peer.address)
+        if len(self._text_times) >= _MAX_TEXTS:
+            self._text_times.clear()
+        self._text_times[key] = now
+        self._send_text(f"rejected: {self.rejected}{hint}", peer.address)
 
-    def _meet(self, peer: Peer) -> None:
-        """Take a party for the autopilot; we are a computer on board of it."""
+    def _connect(self, peer: Peer) -> None:
+        """Connect to a peer as the autopilot, in the role of its onboard computer."""
         self.peer, self._last_received = peer, time.monotonic()
         ours = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
         self._packer = mavlink.MAVLink(None, srcSystem=peer.system, srcComponent=ours)
-        self._ask(peer)
+        self._request_telemetry(peer)
 
-    def _ask(self, peer: Peer) -> None:
-        """Ask for telemetry."""
+    def _request_telemetry(self, peer: Peer) -> None:
+        """Request position reports."""
         kind, pace = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
-        rest = (float(kind), _ASKED, 0.0, 0.0, 0.0, 0.0, 0.0)
+        rest = (float(kind), _TELEMETRY_INTERVAL, 0.0, 0.0, 0.0, 0.0, 0.0)
         self._send(mavlink.MAVLink_command_long_message(peer.system, AUTOPILOT, pace, 0, *rest))
 
-    def _take_position(self, peer: Peer, message: MavMessage) -> None:
+    def _update_position(self, peer: Peer, message: MavMessage) -> None:
         values = (message.x, message.y, message.z, message.vx, message.vy)
         speed = math.hypot(message.vx, message.vy)
         if not all(map(math.isfinite, values)):
-            self._refuse(NOT_FINITE, "telemetry", peer)
+            self._reject(NOT_FINITE, "telemetry", peer)
         elif self.reported is not None and self._is_older(self.reported, message.time_boot_ms):
-            hint = f"; accepted after {_SILENCE:g} s without any other"
-            self._refuse(OLDER, "telemetry", peer, hint)
-        elif speed > self.max_speed * _SPEEDING:
-            what = f"telemetry of {speed:.2f} m/s with at most {self.max_speed:g}"
-            self._refuse(BEYOND_BOUNDS, what, peer)
+            hint = f"; accepted after {_TELEMETRY_TIMEOUT:g} s without telemetry"
+            self._reject(OLDER, "telemetry", peer, hint)
+        elif speed > self.max_speed * _SPEED_TOLERANCE:
+            what = f"telemetry of {speed:.2f} m/s (allowed: up to {self.max_speed:g})"
+            self._reject(BEYOND_BOUNDS, what, peer)
         else:
             self.reports += 1
-            self.refused = ""
+            self.rejected = ""
             self.reported = Reported(
                 message.time_boot_ms,
                 (message.y, message.x),
@@ -246,15 +253,15 @@ class AutopilotLink:
 
     @staticmethod
     def _is_older(reported: Reported, boot: int) -> bool:
-        """Return whether a time stamp is older than the newest; after a silence the autopilot has started again."""
+        """Return True if a time stamp [ms] is outdated; after a timeout, any stamp is valid (a restart)."""
         ahead = (boot - reported.boot) % _CLOCK
         if 0 < ahead < _CLOCK // 2:
             return False
-        return ahead == 0 or time.monotonic() - reported.received <= _SILENCE
+        return ahead == 0 or time.monotonic() - reported.received <= _TELEMETRY_TIMEOUT
 
     def say(self, text: str) -> None:
-        """Say a text for people to the autopilot; may be called from any thread."""
-        self._stories.append(text)
+        """Queue a text for the autopilot's user; may be called from any thread."""
+        self._pending_texts.append(text)
 
     def _send_text(self, text: str, to: Address) -> None:
         self._texts = self._texts % 65_535 + 1
@@ -262,7 +269,7 @@ class AutopilotLink:
             self.network.send(packed(message, self._packer), message.get_type(), to)
 
     def set_anchor(self, position: Vector) -> None:
-        """It is where the UAV is now, and at that height it stays."""
+        """Set the anchor for a UAV at this position [m], and the height to hold."""
         reported = self.reported
         if reported is None:
             return
@@ -270,9 +277,9 @@ class AutopilotLink:
         self.anchor, self._down = (x - p_x, y - p_y), reported.down
 
     def deviation(self, position: Vector) -> float:
-        """Distance of the autopilot from where it is wanted [m]; infinite where nothing is known."""
+        """Return the reported tracking error for a reference position [m]; infinite without valid telemetry."""
         reported, anchor = self.reported, self.anchor
-        if reported is None or time.monotonic() - reported.received > _SILENCE:
+        if reported is None or time.monotonic() - reported.received > _TELEMETRY_TIMEOUT:
             return math.inf
         if anchor is None:
             return 0.0
@@ -281,93 +288,94 @@ class AutopilotLink:
 
 
 class AutopilotPilot:
-    """Flies the run's law where the autopilot holds what it is told, and else stays, both inside the safety filter.
+    """Pilot that applies the run's law while the autopilot tracks the reference state, and else holds its position.
+
+    Both controls pass through the safety filter.
 
     Args:
-        link: To the autopilot.
+        link: Connection to the autopilot.
     """
 
     def __init__(self, link: AutopilotLink) -> None:
         self._link = link
         self.ticks = self.held_ticks = 0
-        """Ticks flown, and those in which the UAV had to stay since the autopilot was not where it should be."""
+        """Numbers of ticks, and of ticks in which the UAV held its position for the autopilot."""
         self.largest_deviation = 0.0
-        """The farthest that it said to be from where it was wanted [m]."""
-        self._follows = True
-        self._next: _Wanted | None = None
+        """Largest reported tracking error [m]."""
+        self._tracks = True
+        self._next: _Reference | None = None
 
     def make(self, briefing: UavBriefing) -> "AutopilotPilot":
-        """Join.
+        """Join the run.
 
         Raises:
-            ScenarioError: If the run declares that a UAV is always exactly where it should be.
+            ScenarioError: If the run allows no tracking error.
         """
         tracking = briefing.safety.max_tracking_error
         if tracking is not None and tracking <= 0.0:
             raise ScenarioError(
-                "certificate.max_tracking_error = 0: no autopilot is always exactly where it should be; "
-                "declare how far off "
-                "it may be, in m, where the simulator is started, such as --set certificate.max_tracking_error=0.3"
+                "certificate.max_tracking_error = 0: an autopilot has a tracking error; allowed: a bound above 0 m, "
+                "set for the simulator, such as --set certificate.max_tracking_error=0.3"
             )
         self._bound = math.inf if tracking is None else tracking
         self._briefing = briefing
         self._link.max_speed = bounds(briefing.limits)[0]
-        self._link.anchor = self._link.wanted = self._next = None
+        self._link.anchor = self._link.reference = self._next = None
         self._pilot = pilot = UavPilot(briefing, inner=self._inner)
-        # The law's own pilot does what the process asks besides.
+        # Delegate the other methods required by the process to the law's pilot.
         self.perceive, self.forget_commands = pilot.perceive, pilot.forget_commands
         return self
 
     def act(self, observation: UavObservation) -> UavCommand:
-        """The command for this observation."""
+        """Return the command for an observation."""
         command = self._pilot.act(observation)
         self.ticks += 1
-        self.held_ticks += not self._follows
-        self._next = _Wanted(
+        self.held_ticks += not self._tracks
+        self._next = _Reference(
             observation.position,
             observation.velocity,
             command.acceleration,
             time.monotonic(),
         )
-        if self._follows or command.report is None:
+        if self._tracks or command.report is None:
             return command
-        nothing = msgspec.structs.replace(command.report, decision=None)
-        return msgspec.structs.replace(command, report=nothing)
+        uncertified = msgspec.structs.replace(command.report, decision=None)
+        return msgspec.structs.replace(command, report=uncertified)
 
     def prepare(self) -> None:
-        """The command is on its way: only now is the autopilot told, and never of the past of one that joins again."""
-        wanted = self._next
-        if wanted is not None:
+        """Pass the reference state to the autopilot once the command is sent; skips past ticks after a rejoin."""
+        reference = self._next
+        if reference is not None:
             if self._link.anchor is None:
-                self._link.set_anchor(wanted.position)
-            self._link.wanted = wanted
+                self._link.set_anchor(reference.position)
+            self._link.reference = reference
 
     def _inner(self, observation: UavObservation) -> Vector | None:
-        off = self._link.deviation(observation.position)
-        if math.isfinite(off):
-            self.largest_deviation = max(self.largest_deviation, off)
-        follows = off <= self._bound and self._link.armed
-        if follows != self._follows:
-            self._follows = follows
-            story = self._story(off)
-            _LOG.warning("%s", story)
-            self._link.say(story)
-        return None if follows else setpoint_control(REST, observation, self._briefing)
+        error = self._link.deviation(observation.position)
+        if math.isfinite(error):
+            self.largest_deviation = max(self.largest_deviation, error)
+        tracks = error <= self._bound and self._link.armed
+        if tracks != self._tracks:
+            self._tracks = tracks
+            text = self._state_text(error)
+            _LOG.warning("%s", text)
+            self._link.say(text)
+        return None if tracks else setpoint_control(REST, observation, self._briefing)
 
-    def _story(self, off: float) -> str:
-        if self._follows:
-            return "the autopilot holds what it is told: the run's law flies"
-        if math.isinf(off):
-            refused = self._link.refused
-            why = f"refused: {refused}" if refused else "the autopilot is silent"
+    def _state_text(self, error: float) -> str:
+        if self._tracks:
+            return "the autopilot tracks the reference state: the run's law flies"
+        if math.isinf(error):
+            rejected = self._link.rejected
+            why = f"rejected: {rejected}" if rejected else "the autopilot is silent"
         elif not self._link.armed:
             why = "the autopilot is not armed"
         else:
-            why = f"the autopilot is {off:.2f} m off, declared are {self._bound:g} m"
-        return f"{why}: its UAV stays, and nothing is certified"
+            why = f"tracking error {error:.2f} m, allowed up to {self._bound:g} m"
+        return f"{why}: the UAV holds its position, and nothing is certified"
 
     def counts(self) -> dict[str, object]:
-        """Counts of what was told, received and refused."""
+        """Return the numbers of ticks, setpoints, telemetry messages and rejections."""
         link = self._link
         return {
             "ticks": self.ticks,

@@ -1,4 +1,4 @@
-"""`outrider mavlink`: a run for ground stations, and a UAV that is flown over MAVLink."""
+"""`outrider mavlink`: show a run in MAVLink ground stations, or control a UAV."""
 
 import os
 import sys
@@ -28,21 +28,19 @@ if TYPE_CHECKING:
 _OUT, _OFFBOARD = "127.0.0.1:14550", "127.0.0.1:14540"
 _AUTOPILOT = "127.0.0.1:14540"
 _LINGER = 0.6
-"""The time for which a run that is over is still told [s]: one that is reset goes on."""
+"""Time for which the gateway continues after the end of a run, in case of a reset [s]."""
 _NICE = 5
-"""On a machine that is busy the run goes first."""
-_TRUTH = "telemetry, the truth among it,"
+"""Lower priority than the run on a busy machine."""
+_TRUTH = "telemetry, including the truth,"
 _TURN = 0.02
-"""The longest time between two looks at the run [s]."""
+"""Maximum time between two updates from the run [s]."""
 
 _Out = Annotated[
     list[str] | None,
     typer.Option(
         "--to",
         metavar="HOST:PORT",
-        help=f"A ground station that is told of the run; may be repeated. By default {_OUT}, "
-        "where QGroundControl and MAVProxy listen, and with --vehicle "
-        f"{_OFFBOARD}, where MAVSDK does; neither if --in or --autopilot is given.",
+        help=f"Send to this ground station; repeatable [default: {_OUT}; with --vehicle: {_OFFBOARD}].",
     ),
 ]
 _Listen = Annotated[
@@ -50,38 +48,39 @@ _Listen = Annotated[
     typer.Option(
         "--in",
         metavar="HOST:PORT",
-        help="Where ground stations and programs may ask; may be repeated. With --autopilot "
-        f"by default {_AUTOPILOT}, to which PX4 sends.",
+        help=f"Listen for ground stations here; repeatable [default with --autopilot: {_AUTOPILOT}].",
     ),
 ]
 _Private = Annotated[
     bool,
     typer.Option(
         "--private",
-        help="Send to a random port of this machine, and print it, instead of the usual one.",
+        help="Send to a random local port, and print it.",
     ),
 ]
 _Vehicle = Annotated[
     str,
     typer.Option(
         metavar="NAME",
-        help="Join as this UAV, with its credentials, and fly it by setpoints inside the safety filter.",
+        help="Join as this UAV, controlled by setpoints inside the safety filter.",
     ),
 ]
 _Autopilot = Annotated[
     str,
     typer.Option(
         metavar="NAME",
-        help="Join as this UAV, and let a real autopilot fly along: its telemetry in, its setpoints out.",
+        help="Join as this UAV, with a real autopilot as its inner loop.",
     ),
 ]
 _First = Annotated[
     int,
-    typer.Option("--first-system", help="Number of the first vehicle's system.", min=1, max=200),
+    typer.Option(
+        "--first-system", help="Set the system number of the first vehicle.", min=1, max=200
+    ),
 ]
 _Height = Annotated[
     float,
-    typer.Option(help="Height in m at which UAVs are told to fly: a run is flat.", min=0.0),
+    typer.Option(help="Set the UAVs' height in telemetry [m]; a run is flat.", min=0.0),
 ]
 
 
@@ -100,20 +99,23 @@ def command(
     insecure: options.Insecure = False,
     json: options.Json = False,
 ) -> None:
-    """Show a run to MAVLink ground stations, or fly a UAV by it.
+    """Show a run in MAVLink ground stations, or control a UAV over MAVLink.
 
-    While it is flown each vehicle is a system. Each tells HEARTBEAT, ATTITUDE, GLOBAL_POSITION_INT (from the scenario's
-    origin), LOCAL_POSITION_NED, a UGV also FOLLOW_TARGET, and in texts what is lost or not certified and when it is
-    well again. The run's settings are parameters. With the operator's credentials a ground station's sticks drive a
-    UGV, and LAW, PAUSED and RT_FACTOR can be set; with the observer's it only shows. Ends with the run, or at Ctrl-C.
+    Each vehicle is a MAVLink system. It sends HEARTBEAT, ATTITUDE, GLOBAL_POSITION_INT (from the scenario's origin) and
+    LOCAL_POSITION_NED; a UGV also sends FOLLOW_TARGET. Status texts report lost processes and missing certificates.
+    The run's settings are parameters. With the operator's credentials, a ground station can drive a UGV by joystick and
+    set LAW, PAUSED and RT_FACTOR. With the observer's credentials, access is read-only. QGroundControl and MAVProxy
+    listen on port 14550, MAVSDK on 14540. The command ends with the run, or at Ctrl-C.
 
-    With --vehicle it is that UAV's process, in the place of `outrider uav`: in the mode OFFBOARD it flies
-    SET_POSITION_TARGET_LOCAL_NED (velocity, acceleration), in HOLD it stays, in MISSION and where no setpoint has come
-    for the scenario's `command_timeout` the run's law flies; the safety filter watches over all of them.
+    With --vehicle, the command replaces `outrider uav` for this UAV. In mode OFFBOARD, the UAV tracks
+    SET_POSITION_TARGET_LOCAL_NED (velocity, acceleration). In mode HOLD, it holds its position. In mode MISSION, or
+    without a setpoint for the scenario's `command_timeout`, the run's law controls it. The safety filter is always
+    active.
 
-    With --autopilot the run's law flies that UAV, and an autopilot is its inner loop: it is told where the UAV is to
-    be, and where it is farther off than `certificate.max_tracking_error` declares, or silent, the UAV stays and
-    nothing is certified. It must be armed and in the air, and listen to setpoints; the run must keep real time.
+    With --autopilot, the run's law controls the UAV and a real autopilot tracks its reference state. If the tracking
+    error exceeds `certificate.max_tracking_error`, or telemetry is missing, the UAV holds its position and nothing is
+    certified. The autopilot must be armed, airborne and in a mode that follows setpoints. The run must keep real time.
+    PX4 sends to the default address of --in.
 
     Example: outrider mavlink --to 127.0.0.1:14550 --credentials credentials/observer.json
 
@@ -125,9 +127,11 @@ def command(
 
     check_endpoint(connect)
     if vehicle and autopilot:
-        raise typer.BadParameter("--vehicle or --autopilot, not both")
+        raise typer.BadParameter("--vehicle and --autopilot: not both; allowed: one of the two")
     if private and (out or autopilot):
-        raise typer.BadParameter(f"--private or {'--to' if out else '--autopilot'}, not both")
+        raise typer.BadParameter(
+            f"--private and {'--to' if out else '--autopilot'}: not both; allowed: one of the two"
+        )
     if private:
         out = [f"127.0.0.1:{private_port()}"]
     elif out is None and listen is None:
@@ -141,7 +145,9 @@ def command(
             name = vehicle or autopilot
             joining = options.joining(Role.UAV, name, connect, run, credentials, join_timeout)
             system = VehicleSystem(name, first, flies=True, origin=Origin(), height=height)
-            found = _fly(network, system, joining) if vehicle else _fly_along(network, joining)
+            found = (
+                _fly(network, system, joining) if vehicle else _fly_with_autopilot(network, joining)
+            )
         else:
             os.nice(_NICE)
             with stop_on_signals() as stop:
@@ -154,44 +160,44 @@ def command(
     if json:
         print_json(found)
     else:
-        sys.stderr.write(_story(found) + "\n")
+        sys.stderr.write(_summary(found) + "\n")
 
 
 def _open_network(
-    what: str, told: list[str], asked: list[str], *, private: bool, insecure: bool
+    what: str, out: list[str], listen: list[str], *, private: bool, insecure: bool
 ) -> "Network":
-    """Open the sockets that tell and are asked, after it is said what goes where.
+    """Open the sockets, and print the addresses.
 
     Raises:
-        ScenarioError: If an address is not one, or strangers reach it.
+        ScenarioError: If an address is invalid, or other machines can reach it.
     """
     from outrider_mavlink.udp import Network, parse_address
 
-    listening = {text: parse_address(text, listens=True) for text in asked}
+    listening = {text: parse_address(text, listens=True) for text in listen}
     _check_listening(listening, insecure=insecure)
-    telling = [parse_address(text, listens=False) for text in told]
-    network = Network(telling, list(listening.values()))
-    _say_where(what, told, asked, private=private)
+    targets = [parse_address(text, listens=False) for text in out]
+    network = Network(targets, list(listening.values()))
+    _print_addresses(what, out, listen, private=private)
     return network
 
 
-def _say_where(what: str, told: list[str], asked: list[str], *, private: bool) -> None:
-    """Print first what goes where: over UDP, to whichever process is there."""
-    if told:
-        chosen = "" if private else "; --private chooses a random port, --to HOST:PORT another"
+def _print_addresses(what: str, out: list[str], listen: list[str], *, private: bool) -> None:
+    """Print the addresses first, since any process may receive UDP datagrams."""
+    if out:
+        chosen = "" if private else "; use --private for a random port, or --to HOST:PORT"
         sys.stderr.write(
-            f"sends {what} to {', '.join(told)}: to the process that listens there, of whatever user{chosen}\n"
+            f"sending {what} to {', '.join(out)}: any user's process can listen there{chosen}\n"
         )
-    if asked:
+    if listen:
         sys.stderr.write(
-            f"sends {what} to the processes, of whatever user, that ask at {', '.join(asked)}\n"
+            f"sending {what} to any process, of any user, that connects to {', '.join(listen)}\n"
         )
 
 
 def _join(
     joining: options.Joining, make: "MakePilot", gateway: "OffboardGateway | AutopilotLink"
 ) -> None:
-    """Fly a UAV until the run is over, and serve MAVLink beside it."""
+    """Fly a UAV until the end of the run, and serve MAVLink in parallel."""
     from agents.process import warm_up
     from outrider_mavlink.offboard import serving
 
@@ -201,7 +207,7 @@ def _join(
 
 
 def _fly(network: "Network", system: "VehicleSystem", joining: options.Joining) -> dict[str, Any]:
-    """Fly a UAV by setpoints until the run is over; what became of them."""
+    """Fly a UAV by setpoints until the end of the run; return the counts."""
     from outrider_mavlink.dialect import mavlink
     from outrider_mavlink.offboard import OffboardGateway, OffboardPilot
 
@@ -213,19 +219,19 @@ def _fly(network: "Network", system: "VehicleSystem", joining: options.Joining) 
     return {"vehicles": {system.name: system.number}, **gateway.counts()}
 
 
-def _fly_along(network: "Network", joining: options.Joining) -> dict[str, Any]:
-    """Let an autopilot fly along with a UAV until the run is over; what became of it."""
+def _fly_with_autopilot(network: "Network", joining: options.Joining) -> dict[str, Any]:
+    """Fly a UAV with a real autopilot until the end of the run; return the counts."""
     from outrider_mavlink.autopilot import AutopilotLink, AutopilotPilot
 
     link = AutopilotLink(network)
     pilot = AutopilotPilot(link)
-    began, told = time.monotonic(), False
-    while link.reported is None:  # the run is not to begin without it
+    began, announced = time.monotonic(), False
+    while link.reported is None:  # the run must not start without telemetry
         link.turn(_TURN)
         link.refresh()
-        if not told and time.monotonic() - began > 1.0:
-            told = True
-            sys.stderr.write("waiting for the telemetry of an autopilot; Ctrl-C leaves\n")
+        if not announced and time.monotonic() - began > 1.0:
+            announced = True
+            sys.stderr.write("waiting for an autopilot's telemetry; cancel with Ctrl-C\n")
     _join(joining, pilot.make, link)
     vehicles = {joining.party.name: 0 if link.peer is None else link.peer.system}
     found = {"vehicles": vehicles, "sent": dict(network.sent), "received": link.reports}
@@ -233,15 +239,15 @@ def _fly_along(network: "Network", joining: options.Joining) -> dict[str, Any]:
 
 
 def _check_listening(addresses: "dict[str, Address]", *, insecure: bool) -> None:
-    """Refuse to let strangers in by mistake: MAVLink knows no passwords.
+    """Reject addresses open to other machines, since MAVLink has no authentication.
 
     Raises:
-        ScenarioError: If other machines reach an address.
+        ScenarioError: If other machines can reach an address.
     """
     for text, address in addresses.items():
         if not (insecure or address.host in LOOPBACK):
             raise ScenarioError(
-                f"--in {text}: other machines reach it, and MAVLink knows no passwords; say --insecure if they may"
+                f"--in {text}: other machines can reach it without a password; allowed: a local address, or --insecure"
             )
 
 
@@ -252,7 +258,7 @@ def _show(
     first: int,
     height: float,
 ) -> dict[str, Any]:
-    """Tell a run until it is over or somebody wants the end; what was told."""
+    """Serve a run until it ends or the user stops the command; return the counts."""
     from outrider.cli.console import ERR
     from outrider.view.operator import RunClient
     from outrider_mavlink.run_gateway import RunGateway
@@ -265,26 +271,26 @@ def _show(
         gateway = RunGateway(client, network, status, first=first, height=height)
         named = {system.name: number for number, system in gateway.systems.items()}
         ERR.tell(
-            f"the run {joining.run}: {', '.join(f'system {n} is {name}' for name, n in named.items())}"
+            f"run {joining.run}: {', '.join(f'system {n} is {name}' for name, n in named.items())}"
         )
         try:
             lost = _follow(session, client, gateway, stop)
         finally:
             gateway.close()
     if lost:
-        raise PeerLost(f"the router at {joining.connect} has gone")
+        raise PeerLost(f"the router at {joining.connect} disconnected")
     return {"vehicles": named, **gateway.counts()}
 
 
 def _follow(session: "Session", client: "RunClient", gateway: "RunGateway", stop: Stop) -> bool:
-    """Tell the run until it is over or somebody wants the end; whether it was the router that went."""
+    """Serve the run until it ends or the user stops it; return True if the router disconnected."""
     from outrider.view.operator import SILENCE
 
     over_since, router = None, RouterTimer(session)
     while not stop:
         for message in client.news():
             gateway.take(message)
-        gateway.silent = client.age > SILENCE  # a vehicle of which nothing is known is not there
+        gateway.silent = client.age > SILENCE  # without news, send no telemetry
         gateway.turn(_TURN)
         now = time.monotonic()
         over = client.status is not None and client.status.over
@@ -296,9 +302,9 @@ def _follow(session: "Session", client: "RunClient", gateway: "RunGateway", stop
     return False
 
 
-def _story(found: dict[str, Any]) -> str:
+def _summary(found: dict[str, Any]) -> str:
     count = sum(found.get("sent", {}).values())
     causes = ", ".join(f"{n} {cause}" for cause, n in found.get("refused", {}).items())
     return f"{count} messages sent, {found.get('received', 0)} received" + (
-        f"; refused: {causes}" if causes else ""
+        f"; rejected: {causes}" if causes else ""
     )

@@ -1,4 +1,4 @@
-"""The messages of MAVLink's common dialect, by pymavlink: an extra, which is missed in one line."""
+"""Messages of MAVLink's common dialect, from the optional package pymavlink."""
 
 from typing import Any
 
@@ -10,11 +10,11 @@ with needs("mavlink"):
 __all__ = ["MavMessage", "mavlink", "packed"]
 
 MavMessage = Any
-"""A message of pymavlink's, which has no types."""
+"""Message of pymavlink, which is untyped."""
 
 
-def packed(message: MavMessage, sender: Any) -> bytes:  # noqa: ANN401 - pymavlink's MAVLink, likewise
-    """The bytes of a message, numbered among those of its sender."""
+def packed(message: MavMessage, sender: Any) -> bytes:  # noqa: ANN401 - pymavlink's MAVLink, untyped
+    """Return the bytes of a message with the next sequence number of its sender."""
     data = bytes(message.pack(sender))
     sender.seq = (sender.seq + 1) % 256
     return data

@@ -1,4 +1,4 @@
-"""Metres from the scenario's origin, and degrees on Earth: a flat Earth that touches the ellipsoid at the origin."""
+"""Conversion from scenario coordinates to latitude and longitude, with a flat Earth tangent at the origin."""
 
 import math
 
@@ -13,20 +13,20 @@ _ECCENTRICITY_2 = _FLATTENING * (2.0 - _FLATTENING)
 def geodetic(
     origin: Origin, east: float, north: float, up: float = 0.0
 ) -> tuple[float, float, float]:
-    r"""The place on Earth of a point of the area.
+    r"""Return the geodetic position of a point in the area.
 
     $$ \phi = \phi_0 + \frac{y}{M + h_0}, \quad \lambda = \lambda_0 + \frac{x}{(N + h_0) \cos \phi_0} $$
 
-    M and N are the ellipsoid's radii of curvature at the origin, along the meridian and across it. What the flat
-    Earth leaves out grows with the square of the distance: less than a millimetre at 40 m, a few decimetres at 1 km.
+    M and N are the ellipsoid's radii of curvature at the origin, along the meridian and across it. The error of the
+    flat Earth grows with the square of the distance: less than 1 mm at 40 m, a few decimeters at 1 km.
 
     Args:
-        origin: The place of the area's lower left corner.
-        east, north: x and y of the scenario [m].
-        up: Height over the ground [m].
+        origin: Geodetic position of the area's lower left corner.
+        east, north: Scenario coordinates x and y [m].
+        up: Height above the ground [m].
 
     Returns:
-        Latitude and longitude [deg], the longitude from -180 on and below 180, and altitude [m].
+        Latitude [deg], longitude in [-180, 180) [deg], and altitude [m].
     """
     phi = math.radians(origin.latitude)
     w_2 = 1.0 - _ECCENTRICITY_2 * math.sin(phi) ** 2

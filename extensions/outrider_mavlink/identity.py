@@ -1,6 +1,6 @@
-"""A vehicle as MAVLink knows it: a system with a number, and the messages by which it tells of itself.
+"""MAVLink system of a vehicle: its number and its telemetry messages.
 
-MAVLink counts north, east and down; the scenario's x is east and its y north.
+MAVLink uses north, east and down; in the scenario, x is east and y is north.
 """
 
 import math
@@ -13,16 +13,16 @@ from outrider_mavlink.dialect import MavMessage, mavlink
 from outrider_mavlink.geodesy import geodetic
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
-_MOVES = 0.01
-"""Below this speed a course means nothing [m/s]."""
+_MIN_COURSE_SPEED = 0.01
+"""Minimum speed for a defined course [m/s]."""
 _CHUNK = 50
-"""Bytes of a text in one message."""
+"""Number of text bytes in one message."""
 _BOOT = 1 << 32
 _WORST, _NOTE = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_NOTICE
 
 
 class Mode(NamedTuple):
-    """A flight mode; its numbers are those of PX4, by which MAVSDK and ground stations know its name."""
+    """Flight mode, with the numbers of PX4 that MAVSDK and ground stations recognize."""
 
     name: str
     main: int
@@ -31,63 +31,63 @@ class Mode(NamedTuple):
 
     @property
     def custom(self) -> int:
-        """As a heartbeat carries it."""
+        """Mode number in a heartbeat."""
         return self.main << 16 | self.sub << 24
 
 
 MISSION = Mode("MISSION", 4, 4, mavlink.MAV_MODE_FLAG_AUTO_ENABLED)
-"""A vehicle's own pilot: a UAV's law, a UGV's driver."""
+"""Mode of a UAV controlled by the law, or of a UGV controlled by its driver."""
 HOLD = Mode("HOLD", 4, 3, mavlink.MAV_MODE_FLAG_AUTO_ENABLED)
-"""A UAV stays where it is, as far as the safety filter lets it."""
+"""Mode of a UAV that holds its position, inside the safety filter."""
 OFFBOARD = Mode("OFFBOARD", 6, 0, mavlink.MAV_MODE_FLAG_GUIDED_ENABLED)
-"""A UAV follows setpoints, as far as the safety filter lets it."""
+"""Mode of a UAV that tracks setpoints, inside the safety filter."""
 MANUAL = Mode("MANUAL", 1, 0, mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED)
-"""A person holds a UGV's wheel."""
+"""Mode of a UGV controlled by an operator."""
 
 
 class Moving(NamedTuple):
-    """The motion of a vehicle at a moment, in the scenario's coordinates."""
+    """Motion of a vehicle at one time, in scenario coordinates."""
 
     time: float
-    """Simulated [s]."""
+    """Simulated time [s]."""
     position: Vector
     velocity: Vector
     acceleration: Vector = (0.0, 0.0)
     covariance: Covariance | None = None
-    """Of the position, if it is an estimate [m²]."""
+    """Covariance of the position, if it is an estimate [m²]."""
 
 
 def _clipped(value: float) -> int:
-    """A whole number that 16 bits hold."""
+    """Return a value rounded and clipped to 16 bits."""
     return round(max(-32_767.0, min(32_767.0, value)))
 
 
 def status_texts(text: str, number: int, *, warns: bool) -> Iterator[MavMessage]:
-    """Yield the messages of a text for people, as many as it needs.
+    """Yield the STATUSTEXT messages of a text.
 
     Args:
-        text: The text.
-        number: The text's, 1 to 65535, by which its parts are put together.
-        warns: Whether it is a warning.
+        text: Text for the user.
+        number: Number of the text, 1 to 65535, that identifies its parts.
+        warns: True for a warning, False for a notice.
     """
     data = text.replace("²", "2").encode("ascii", "replace")
     severity = _WORST if warns else _NOTE
     number = number if len(data) > _CHUNK else 0
-    last = len(data) // _CHUNK if number else 0  # shorter than a chunk, if need be empty
+    last = len(data) // _CHUNK if number else 0  # the last chunk is shorter, possibly empty
     for chunk in range(last + 1):
         part = data[chunk * _CHUNK : (chunk + 1) * _CHUNK]
         yield mavlink.MAVLink_statustext_message(severity, part, number, chunk)
 
 
 class VehicleSystem:
-    """A vehicle's system.
+    """MAVLink system of a vehicle.
 
     Args:
-        name: The vehicle's.
-        number: The system's, 1 to 254.
+        name: Name of the vehicle.
+        number: Number of the system, 1 to 254.
         flies: True for a UAV.
-        origin: Where on Earth the scenario's positions are counted from.
-        height: Over the ground [m], at which it is told to be: the scenario is flat.
+        origin: Geodetic position of the scenario's origin.
+        height: Height of a UAV above the ground in its telemetry [m]; the scenario is flat.
     """
 
     def __init__(
@@ -102,18 +102,18 @@ class VehicleSystem:
         self.name, self.number, self.flies = name, number, flies
         self.mode = MISSION
         self.critical = False
-        """True if something is wrong with it."""
+        """True if the vehicle has a critical problem."""
         self.moving: Moving | None = None
-        """None: nothing is known of it yet."""
+        """Motion of the vehicle; None: unknown so far."""
         self.followed: Moving | None = None
-        """Subject of `FOLLOW_TARGET`: a UGV itself, or what a UAV believes of its UGV."""
+        """Target in `FOLLOW_TARGET`: a UGV itself, or a UAV's estimate of its UGV."""
         self.origin = origin
         self._height = height if flies else 0.0
         self._heading = 0.0  # [rad], from north over east
         self.capabilities = 0
-        """Flags of MAVLink's beyond those that all have."""
+        """MAVLink capability flags beyond the common ones."""
         self.sender = mavlink.MAVLink(None, srcSystem=number, srcComponent=AUTOPILOT)
-        """Numbers its messages."""
+        """Packer that numbers the messages."""
         self._texts = 0
         self._always: dict[int, Callable[[], MavMessage]] = {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
@@ -130,25 +130,25 @@ class VehicleSystem:
         }
 
     def move(self, moving: Moving) -> None:
-        """Take in where it is."""
+        """Update the motion of the vehicle."""
         self.moving = moving
         v_x, v_y = moving.velocity
-        if math.hypot(v_x, v_y) > _MOVES:
+        if math.hypot(v_x, v_y) > _MIN_COURSE_SPEED:
             self._heading = math.atan2(v_x, v_y)
 
     def build(self, number: int) -> MavMessage | None:
-        """The message of this number; None where there is none, or nothing is known to be told yet."""
+        """Return the message with this number; None if it is unsupported or its content still unknown."""
         if number in self._always:
             return self._always[number]()
         builder = self._once_known.get(number)
         return None if builder is None or self.moving is None else builder(self.moving)
 
     def knows(self, number: int) -> bool:
-        """True if it can tell a message of this number."""
+        """Return True if the message with this number is supported."""
         return number in self._always or number in self._once_known
 
     def texts(self, text: str, *, warns: bool) -> Iterator[MavMessage]:
-        """A text for people, in as many messages as it needs."""
+        """Yield the STATUSTEXT messages of a text."""
         self._texts = self._texts % 65_535 + 1
         return status_texts(text, self._texts, warns=warns)
 
@@ -183,7 +183,7 @@ class VehicleSystem:
         )
 
     def _degrees(self, position: Vector, height: float) -> tuple[int, int, int]:
-        """Latitude and longitude [1e-7 deg], altitude [mm]."""
+        """Return latitude and longitude [1e-7 deg] and altitude [mm]."""
         latitude, longitude, altitude = geodetic(self.origin, *position, height)
         return round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1e3)
 
@@ -216,18 +216,18 @@ class VehicleSystem:
         )
 
     def _follow_target(self, _moving: Moving) -> MavMessage | None:
-        told = self.followed
-        if told is None:
+        target = self.followed
+        if target is None:
             return None
-        latitude, longitude, _ = self._degrees(told.position, 0.0)
-        (v_x, v_y), (u_x, u_y) = told.velocity, told.acceleration
+        latitude, longitude, _ = self._degrees(target.position, 0.0)
+        (v_x, v_y), (u_x, u_y) = target.velocity, target.acceleration
         variances = (0.0, 0.0, 0.0)
         capabilities = 0b111  # position, velocity and acceleration
-        if told.covariance is not None:
-            variances = (told.covariance[2], told.covariance[0], 0.0)
+        if target.covariance is not None:
+            variances = (target.covariance[2], target.covariance[0], 0.0)
             capabilities = 0b001
         return mavlink.MAVLink_follow_target_message(
-            self._boot(told),
+            self._boot(target),
             capabilities,
             latitude,
             longitude,
@@ -241,7 +241,7 @@ class VehicleSystem:
         )
 
     def _home(self, _moving: Moving) -> MavMessage:
-        """Home is the scenario's origin."""
+        """Return the scenario's origin as home position."""
         return mavlink.MAVLink_home_position_message(
             *self._degrees((0.0, 0.0), 0.0), 0.0, 0.0, 0.0, (1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0
         )

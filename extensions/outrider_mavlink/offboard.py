@@ -1,4 +1,4 @@
-"""A UAV that is flown by setpoints, inside the safety filter: its pilot on the bus, and its system in MAVLink."""
+"""Offboard control of a UAV by setpoints inside the safety filter: its pilot and its MAVLink gateway."""
 
 import math
 import threading
@@ -35,78 +35,78 @@ if TYPE_CHECKING:
     from outrider_mavlink.autopilot import AutopilotLink
 
 TOO_EARLY = "comes before the UAV has joined"
-_LATELY = 1.0
-"""The time for which the filter is said to act after it did so last [s]: it does so every few ticks."""
+_OVERRIDE_HOLD = 1.0
+"""Time for which an override by the filter is reported; overrides recur every few ticks [s]."""
 _TURN = 0.02
-"""The longest time between two looks at what is flown [s]."""
+"""Maximum wall time between two updates of the telemetry [s]."""
 _MODES = {(mode.main, mode.sub): mode for mode in (MISSION, HOLD, OFFBOARD)}
 
 
 class Flown(NamedTuple):
-    """A tick as the UAV has flown it."""
+    """Observation and command of a tick."""
 
     observation: UavObservation
     command: UavCommand
     by_setpoint: bool
-    """True if a setpoint was wanted in it."""
+    """True if a setpoint determined the nominal control."""
 
 
 class OffboardPilot:
-    """Flies the run's law, a setpoint, or stays where it is, always inside the safety filter.
+    """Pilot that applies the run's law, tracks a setpoint or holds the position, inside the safety filter.
 
-    The mode and the setpoint come from another thread. A setpoint counts for the scenario's `command_timeout`, in
-    simulated time from the tick that met it first; then the law flies until the next one comes.
+    Another thread sets the mode and the setpoint. A setpoint is valid for the scenario's `command_timeout`, counted
+    in simulated time from the first tick that uses it. Then the law controls the UAV until the next setpoint.
     """
 
     def __init__(self) -> None:
         self.mode: Mode = MISSION
-        """As ground stations want it."""
+        """Mode set by ground stations."""
         self.briefing: UavBriefing | None = None
-        """The briefing of the UAV when it joined last."""
+        """Briefing of the UAV when it last joined; None: not joined yet."""
         self.flown: Flown | None = None
-        """The newest tick."""
+        """Newest tick; None: none so far."""
         self.ticks = self.setpoint_ticks = self.interventions = 0
-        """Ticks flown, those for which a setpoint counted, and those in which the filter acted instead."""
-        self.intervened_at = -math.inf
-        """Time at which the filter acted last [s]."""
+        """Number of ticks, of ticks with a valid setpoint, and of ticks overridden by the filter."""
+        self.overridden_at = -math.inf
+        """Simulated time of the last override by the filter [s]."""
         self._setpoint: Setpoint | None = None
-        self._met: Setpoint | None = None
+        self._applied: Setpoint | None = None
         self._since = 0
-        self._hold = 0
+        self._timeout_ticks = 0
         self._by_setpoint = False
 
     def make(self, briefing: UavBriefing) -> "OffboardPilot":
-        """Join: all that was wanted before counts no more."""
-        self._hold = ticks_within(briefing.command_timeout, briefing.dt)
-        self._setpoint = self._met = None
+        """Join the run; earlier setpoints become invalid."""
+        self._timeout_ticks = ticks_within(briefing.command_timeout, briefing.dt)
+        self._setpoint = self._applied = None
         self.briefing = briefing
         self._pilot = pilot = UavPilot(briefing, inner=self._inner)
-        # The law's own pilot does what the process asks besides.
+        # Delegate the other methods required by the process to the law's pilot.
         self.perceive, self.forget_commands = pilot.perceive, pilot.forget_commands
         return self
 
-    def want(self, setpoint: Setpoint) -> None:
-        """Take a setpoint; may be called from any thread."""
-        self._setpoint = Setpoint(*setpoint)  # a new one, though it may say the same
+    def set_setpoint(self, setpoint: Setpoint) -> None:
+        """Set the setpoint; may be called from any thread."""
+        self._setpoint = Setpoint(*setpoint)  # a copy: an equal setpoint restarts the timeout
 
     def act(self, observation: UavObservation) -> UavCommand:
-        """The command for this observation."""
+        """Return the command for an observation."""
         command = self._pilot.act(observation)
         self.ticks += 1
         self.setpoint_ticks += self._by_setpoint
         decision = None if command.report is None else command.report.decision
         if decision is not None and decision.overridden:
             self.interventions += 1
-            self.intervened_at = observation.time
+            self.overridden_at = observation.time
         self.flown = Flown(observation, command, self._by_setpoint)
         return command
 
     def _inner(self, observation: UavObservation) -> Vector | None:
         wanted, briefing, mode = self._setpoint, self.briefing, self.mode
-        if wanted is not self._met:
-            self._met, self._since = wanted, observation.tick
-        counts = wanted is not None and observation.tick - self._since <= self._hold
-        self._by_setpoint = mode is OFFBOARD and counts
+        if wanted is not self._applied:
+            self._applied, self._since = wanted, observation.tick
+        valid = wanted is not None and observation.tick - self._since <= self._timeout_ticks
+        self._by_setpoint = mode is OFFBOARD and valid
         flown = REST if mode is HOLD else wanted if self._by_setpoint else None
         if flown is None or briefing is None:
             return None
@@ -114,65 +114,67 @@ class OffboardPilot:
 
 
 class OffboardGateway(Gateway):
-    """Tells of one UAV what it knows itself, and takes its modes and setpoints.
+    """Gateway of one UAV: its own telemetry, mode changes and setpoints.
 
     Args:
-        pilot: Flies it.
-        network: Where it is told.
-        system: Its system.
+        pilot: Pilot of the UAV.
+        network: UDP sockets.
+        system: MAVLink system of the UAV.
     """
 
     def __init__(self, pilot: OffboardPilot, network: Network, system: VehicleSystem) -> None:
         super().__init__(network, [system])
         self._pilot, self._system = pilot, system
-        self.silent = True  # until it has joined
+        self.silent = True  # until the UAV has joined
 
     def refresh(self) -> None:
-        """Take in what was flown."""
+        """Update the telemetry from the newest tick."""
         flown, briefing, system = self._pilot.flown, self._pilot.briefing, self._system
         if flown is None or briefing is None:
             return
         self.silent, system.origin = False, briefing.origin
-        seen, report = flown.observation, flown.command.report
-        system.move(Moving(seen.time, seen.position, seen.velocity, flown.command.acceleration))
+        observation, report = flown.observation, flown.command.report
+        position, velocity = observation.position, observation.velocity
+        system.move(Moving(observation.time, position, velocity, flown.command.acceleration))
         system.mode = self._pilot.mode
-        self.judge(
+        self.report_problem(
             system,
             "setpoints",
             wrong=system.mode is OFFBOARD and not flown.by_setpoint,
-            worse="no setpoint counts: the run's law flies",
-            better=f"setpoints fly {system.name}",
+            worse="no valid setpoint: the run's law flies",
+            better=f"setpoints control {system.name}",
             critical=False,
         )
         if report is None:
             return
         system.followed = Moving(
-            seen.time, report.estimate, (0.0, 0.0), covariance=report.covariance
+            observation.time, report.estimate, (0.0, 0.0), covariance=report.covariance
         )
-        self.judge(
+        self.report_problem(
             system,
-            "turned",
-            wrong=seen.time - self._pilot.intervened_at < _LATELY and system.mode is not MISSION,
-            worse="the safety filter acts: sight of the UGV would be lost",
-            better="the safety filter lets everything through",
+            "overridden",
+            wrong=observation.time - self._pilot.overridden_at < _OVERRIDE_HOLD
+            and system.mode is not MISSION,
+            worse="the safety filter acts: the UGV would be lost from sight",
+            better="the safety filter is inactive",
             critical=False,
         )
         if report.decision is not None:
             reason = report.decision.reason
-            self.judge(
+            self.report_problem(
                 system,
                 "certified",
                 wrong=reason is not None,
-                worse=f"sight is not certified: {reason.text if reason else ''}",
-                better="sight is certified again",
+                worse=f"not certified: {reason.text if reason else ''}",
+                better="certified again",
             )
 
     def setpoint(self, peer: Peer, system: VehicleSystem, message: MavMessage) -> None:
-        """Take a setpoint of the ground station that steers, or refuse it."""
+        """Apply a setpoint of the ground station in control, or reject it."""
         del system
         briefing = self._pilot.briefing
         if briefing is None:
-            self.refuse(TOO_EARLY, "a setpoint")
+            self.reject(TOO_EARLY, "a setpoint")
             return
         try:
             wanted = read_setpoint(message, briefing.limits)
@@ -180,10 +182,10 @@ class OffboardGateway(Gateway):
             self.refusals.add(refused)
             return
         if self.holds(peer):
-            self._pilot.want(wanted)
+            self._pilot.set_setpoint(wanted)
 
     def change_mode(self, peer: Peer, system: VehicleSystem, mode: Numbers) -> int:
-        """Let the law fly, setpoints, or stay."""
+        """Change the mode to MISSION, HOLD or OFFBOARD."""
         main, sub = mode
         wanted = _MODES.get((main or 0, sub or 0))
         if wanted is None:
@@ -197,13 +199,13 @@ class OffboardGateway(Gateway):
         return ACCEPTED
 
     def parameters(self, system: VehicleSystem) -> Mapping[str, float]:
-        """The briefing of the UAV when it joined."""
+        """Return the settings in the UAV's briefing."""
         del system
         briefing = self._pilot.briefing
-        return {} if briefing is None else dict(_told(briefing))
+        return {} if briefing is None else dict(_settings(briefing))
 
     def counts(self) -> dict[str, object]:
-        """Counts of what was told, taken, refused and flown."""
+        """Return the numbers of messages, rejections and ticks."""
         pilot = self._pilot
         flown = {
             "ticks": pilot.ticks,
@@ -213,7 +215,7 @@ class OffboardGateway(Gateway):
         return super().counts() | flown
 
 
-def _told(briefing: UavBriefing) -> Iterator[tuple[str, float]]:
+def _settings(briefing: UavBriefing) -> Iterator[tuple[str, float]]:
     v_max, u_max = bounds(briefing.limits)
     target_v_max, _ = bounds(briefing.target_limits)
     names = list(LAWS)
@@ -233,7 +235,7 @@ def _told(briefing: UavBriefing) -> Iterator[tuple[str, float]]:
 
 @contextmanager
 def serving(gateway: "OffboardGateway | AutopilotLink") -> Iterator[None]:
-    """Serve MAVLink in a thread of its own while the vehicle is flown; its error is raised where the flight ends."""
+    """Serve MAVLink in a separate thread; its error is raised at the end of the context."""
     closing, errors = threading.Event(), list[Exception]()
 
     def serve() -> None:
@@ -241,7 +243,7 @@ def serving(gateway: "OffboardGateway | AutopilotLink") -> Iterator[None]:
             while not closing.is_set():
                 gateway.refresh()
                 gateway.turn(_TURN)
-        except Exception as error:  # noqa: BLE001 - raised where the flight ends
+        except Exception as error:  # noqa: BLE001 - raised at the end of the context
             errors.append(error)
 
     thread = threading.Thread(target=serve, name="outrider-mavlink", daemon=True)

@@ -1,4 +1,4 @@
-"""A run for ground stations: the truth that observers are given, and with an operator's rights a UGV's wheel."""
+"""Gateway of a run: an observer's telemetry, and teleoperation of UGVs with the operator's credentials."""
 
 import math
 import time
@@ -23,28 +23,28 @@ from outrider_mavlink.gateway import (
 from outrider_mavlink.identity import MANUAL, MISSION, Moving, VehicleSystem
 from outrider_mavlink.udp import Network, Peer
 
-_ASK_AGAIN = 1.0
-"""Time after which a wheel that was asked for in vain is asked for again [s]."""
-_BELIEVED = 2.0
-"""For so long a parameter is told as it was set before the simulator has confirmed it [s]."""
+_RETRY = 1.0
+"""Time between two requests for control of the same UGV [s]."""
+_CONFIRMATION_TIME = 2.0
+"""Time for which a changed parameter is reported before the simulator confirms it [s]."""
 _FULL = 1000
-"""A stick at its stop."""
+"""Joystick value at full deflection."""
 _NO_AXIS = 32_767
-"""An axis that there is not."""
+"""Joystick value of a missing axis."""
 _UNBOUNDED = 1.0
-"""Speed at the stop for a UGV without a bound [m/s]."""
+"""Speed of a UGV without a bound at full deflection [m/s]."""
 _LAWS = tuple(LAWS)
 
 
 class RunGateway(Gateway):
-    """Tells all vehicles of a run to ground stations.
+    """Gateway for all vehicles of a run.
 
     Args:
-        client: Reads the run, and speaks to it if its session is an operator's.
-        network: Where it is told.
-        status: The first one, with the run's geometry.
-        first: Number of the first vehicle's system; the others follow in name order.
-        height: At which UAVs are told to fly [m].
+        client: Client that reads the run, and sends commands if its session is an operator's.
+        network: UDP sockets.
+        status: First status, with the run's geometry.
+        first: System number of the first vehicle; the others follow in order of their names.
+        height: Height of the UAVs in their telemetry [m].
     """
 
     def __init__(
@@ -63,19 +63,19 @@ class RunGateway(Gateway):
         self._named = {system.name: system for system in self.systems.values()}
         self._joined: set[str] = set()
         self._refusals = status.refusals
-        self._asked: dict[str, float] = {}
-        # What parameters were set to, and until when.
+        self._requested: dict[str, float] = {}
+        # Values of changed parameters, and the times until which they are reported.
         self._set: dict[str, tuple[float, float]] = {}
 
     def take(self, message: Message) -> None:
-        """Take in what the run tells."""
+        """Process a message of the run."""
         match message:
             case Truth():
-                self._take_truth(message)
+                self._update_truth(message)
             case Status():
-                self._take_status(message)
+                self._update_status(message)
 
-    def _take_truth(self, truth: Truth) -> None:
+    def _update_truth(self, truth: Truth) -> None:
         for name, vehicle in truth.vehicles.items():
             system = self._named.get(name)
             if system is not None:
@@ -88,29 +88,30 @@ class RunGateway(Gateway):
         radius = math.inf if geometry is None else geometry.visibility_radius
         for escort in truth.escorts:
             ugv = escort.ugv
-            self._judge(
+            self._report_problem(
                 escort.uav,
-                "sight",
+                "visibility",
                 wrong=escort.distance >= radius,
-                worse=f"{ugv} is out of sight: {escort.distance:.2f} m, r_v is {radius:g} m",
+                worse=f"{ugv} is out of sight: distance {escort.distance:.2f} m, r_v {radius:g} m",
                 better=f"{ugv} is in sight again",
             )
 
-    def _take_status(self, status: Status) -> None:
+    def _update_status(self, status: Status) -> None:
         if status.over and not self._status.over:
             self._say_to_all("the run is over")
         self._status = status
         for name, vehicle in status.vehicles.items():
             if vehicle.present:
                 self._joined.add(name)
-            gone = name in self._joined and not vehicle.present and not status.over
-            worse = f"{name} is lost: its process has gone"
-            self._judge(name, "process", wrong=gone, worse=worse, better=f"{name} is back")
+            disconnected = name in self._joined and not vehicle.present and not status.over
+            worse = f"{name}: process disconnected"
+            better = f"{name}: process reconnected"
+            self._report_problem(name, "process", wrong=disconnected, worse=worse, better=better)
         for name, certified in status.certified.items():
             reason = status.uncertified.get(name)
-            worse = f"sight is not certified: {reason.text if reason else ''}"
-            self._judge(
-                name, "filter", wrong=not certified, worse=worse, better="sight is certified again"
+            worse = f"not certified: {reason.text if reason else ''}"
+            self._report_problem(
+                name, "filter", wrong=not certified, worse=worse, better="certified again"
             )
         for name, driver in status.drivers.items():
             if name in self._named:
@@ -119,21 +120,23 @@ class RunGateway(Gateway):
             self._say_to_all(line)
         self._refusals = status.refusals
 
-    def _judge(self, name: str, kind: str, *, wrong: bool, worse: str, better: str) -> None:
+    def _report_problem(
+        self, name: str, kind: str, *, wrong: bool, worse: str, better: str
+    ) -> None:
         system = self._named.get(name)
         if system is not None:
-            self.judge(system, kind, wrong=wrong, worse=worse, better=better)
+            self.report_problem(system, kind, wrong=wrong, worse=worse, better=better)
 
     def _say_to_all(self, text: str) -> None:
         for system in self.systems.values():
             self.say(system, text, warns=True)
 
     def parameters(self, system: VehicleSystem) -> Mapping[str, float]:
-        """The run's settings; the last three an operator's ground station may set."""
+        """Return the settings of the run; an operator can set the last three."""
         now = time.monotonic()
-        told = dict(self._settings(system))
-        set_lately = {name: value for name, (value, until) in self._set.items() if now < until}
-        return told | set_lately
+        current = dict(self._settings(system))
+        changed = {name: value for name, (value, until) in self._set.items() if now < until}
+        return current | changed
 
     def _settings(self, system: VehicleSystem) -> Iterator[tuple[str, float]]:
         status, geometry = self._status, self._status.geometry
@@ -153,9 +156,9 @@ class RunGateway(Gateway):
         yield "RT_FACTOR", 0.0 if status.target_factor is None else status.target_factor
 
     def set_parameter(self, peer: Peer, system: VehicleSystem, name: str, value: float) -> None:
-        """Ask the simulator for another setting."""
+        """Request a changed setting from the simulator."""
         control: Control | None = None
-        if not self._may_steer(f"parameter {name}"):
+        if not self._may_control(f"parameter {name}"):
             return
         match name:
             case "LAW" if value in range(len(_LAWS)):
@@ -165,50 +168,50 @@ class RunGateway(Gateway):
             case "RT_FACTOR" if value == 0.0 or 1e-3 <= value <= 1e4:
                 control = Control(action=Action.SPEED, factor=value or None)
             case "LAW" | "PAUSED" | "RT_FACTOR":
-                self.refuse(BEYOND_BOUNDS, f"parameter {name} = {value:g}")
+                self.reject(BEYOND_BOUNDS, f"parameter {name} = {value:g}")
             case _:
                 super().set_parameter(peer, system, name, value)
         if control is not None and self._client.control(control):
-            self._set[name] = (value, time.monotonic() + _BELIEVED)
+            self._set[name] = (value, time.monotonic() + _CONFIRMATION_TIME)
 
-    def _may_steer(self, what: str) -> bool:
+    def _may_control(self, what: str) -> bool:
         if not self._client.may_steer:
-            self.refuse(NOT_ALLOWED, f"{what}: needs the operator's credentials, and")
+            self.reject(NOT_ALLOWED, f"{what} without the operator's credentials")
         return self._client.may_steer
 
     def change_mode(self, peer: Peer, system: VehicleSystem, mode: Numbers) -> int:
-        """A UGV's wheel is taken in MANUAL and handed back in AUTO."""
+        """Take control of a UGV (MANUAL), or return it to its driver (MISSION)."""
         if mode == (system.mode.main, system.mode.sub):
             return ACCEPTED
         if system.flies:
-            self.refuse(
-                NOT_ALLOWED, f"a mode: {system.name} is flown by its own process, and another"
+            self.reject(
+                NOT_ALLOWED, f"changing the mode of {system.name}, controlled by its own process,"
             )
             return DENIED
         if mode not in ((MANUAL.main, MANUAL.sub), (MISSION.main, MISSION.sub)):
             return UNSUPPORTED
-        if not self._may_steer("a mode") or not self.holds(peer):
+        if not self._may_control("changing the mode") or not self.holds(peer):
             return DENIED
         if mode == (MANUAL.main, MANUAL.sub):
-            return ACCEPTED if self._take_wheel(system) else DENIED
+            return ACCEPTED if self._take_control(system) else DENIED
         return ACCEPTED if self._helm.hand_back(system.name) else DENIED
 
     def manual(self, peer: Peer, system: VehicleSystem, message: MavMessage) -> None:
-        """Drive a UGV: stick forward is north, to the right is east; the first deflection takes the wheel."""
+        """Drive a UGV: joystick forward is north, right is east; the first deflection takes control."""
         if system.flies:
-            self.refuse(NOT_ALLOWED, f"MANUAL_CONTROL: {system.name} is a UAV, and that")
+            self.reject(NOT_ALLOWED, f"MANUAL_CONTROL of the UAV {system.name}")
             return
-        if not self._may_steer("MANUAL_CONTROL"):
+        if not self._may_control("MANUAL_CONTROL"):
             return
         north, east = (0 if axis == _NO_AXIS else axis for axis in (message.x, message.y))
         if max(abs(north), abs(east)) > _FULL:
-            self.refuse(BEYOND_BOUNDS, f"MANUAL_CONTROL x = {north}, y = {east}")
+            self.reject(BEYOND_BOUNDS, f"MANUAL_CONTROL x = {north}, y = {east}")
             return
         displaced = self._helm.displaced(self._status, system.name)
         driven = self._status.drivers.get(system.name) == TELEOP and not displaced
         if not driven and not (north or east):
-            return  # a ground station that is only there
-        if self.holds(peer) and (driven or self._take_wheel(system)):
+            return  # a centered joystick takes no control
+        if self.holds(peer) and (driven or self._take_control(system)):
             wanted = self._velocity(system, east / _FULL, north / _FULL)
             self._helm.steer(system.name, f"MAVLink {peer.system}", wanted)
 
@@ -216,18 +219,18 @@ class RunGateway(Gateway):
         geometry = self._status.geometry
         limits = None if geometry is None else geometry.limits.get(system.name)
         full = _UNBOUNDED if limits is None or limits.max_speed is None else limits.max_speed
-        longer = max(1.0, math.hypot(east, north))  # in a corner both are at their stops
+        longer = max(1.0, math.hypot(east, north))  # both axes reach full deflection in a corner
         return full * east / longer, full * north / longer
 
-    def _take_wheel(self, system: VehicleSystem) -> bool:
+    def _take_control(self, system: VehicleSystem) -> bool:
         now = time.monotonic()
-        if now - self._asked.get(system.name, -math.inf) < _ASK_AGAIN:
+        if now - self._requested.get(system.name, -math.inf) < _RETRY:
             return True
-        self._asked[system.name] = now
+        self._requested[system.name] = now
         return self._helm.take(system.name, self._status.drivers.get(system.name, ""))
 
     def close(self) -> None:
-        """Hand all wheels back."""
+        """Return control of all UGVs to their drivers."""
         for name in self._helm.waiting(self._status):
             self._helm.hand_back(name)
         self._client.close()

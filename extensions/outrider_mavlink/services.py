@@ -1,4 +1,4 @@
-"""Negative replies of MAVLink's mission, log and file services, which a run does not have."""
+"""Negative replies for MAVLink's mission, log and file services, which a run does not offer."""
 
 from collections.abc import Callable, Mapping
 
@@ -30,9 +30,9 @@ def _no_log_data(_peer: Peer, message: MavMessage) -> MavMessage:
 
 
 def _no_erasure(_peer: Peer, _message: MavMessage) -> MavMessage:
-    """Return a text: the protocol has no message for it."""
+    """Return a status text, since the protocol has no negative reply."""
     return mavlink.MAVLink_statustext_message(
-        mavlink.MAV_SEVERITY_WARNING, b"refused: there are no logs to erase"
+        mavlink.MAV_SEVERITY_WARNING, b"rejected: there are no logs to erase"
     )
 
 
@@ -67,4 +67,4 @@ NEGATIVE_REPLIES: Mapping[str, Answer] = {
     "LOG_REQUEST_END": lambda _peer, _message: None,
     "FILE_TRANSFER_PROTOCOL": _no_files,
 }
-"""Function that makes the reply to each request, by the request's name; its None: the protocol has no reply."""
+"""Function for the reply to each request, by name; it returns None if the protocol has no reply."""

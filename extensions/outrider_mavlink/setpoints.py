@@ -1,4 +1,4 @@
-"""Setpoints of MAVLink's: read, refused where they are wrong, and turned into an acceleration."""
+"""MAVLink setpoints: validation, and conversion to an acceleration."""
 
 import math
 from typing import NamedTuple
@@ -11,43 +11,43 @@ from outrider_mavlink.dialect import MavMessage, mavlink
 from outrider_mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE, NOT_SUPPORTED
 from sim.models.vehicles import clip_norm
 
-WRONG_FRAME = "has another frame than LOCAL_NED"
-VERTICAL = "goes up or down, and the run is flat"
-POSITION = "has a position, and only velocity and acceleration are flown"
+WRONG_FRAME = "is not in frame LOCAL_NED"
+VERTICAL = "has a vertical component, but the run is flat"
+POSITION = "has a position; only velocity and acceleration are supported"
 
 _POSITION = 0b000_000_011
 _VELOCITY, _UP_VELOCITY = 0b000_011_000, 0b000_100_000
 _ACCELERATION, _UP_ACCELERATION = 0b011_000_000, 0b100_000_000
 _FORCE = 1 << 9
-_ROUNDING = 1e-6
-"""So much longer, as a share, a setpoint may be by the rounding of its 32 bits."""
-_LEVEL = 1e-3
-"""A velocity [m/s] or acceleration [m/s²] up or down that is none."""
+_NORM_TOLERANCE = 1e-6
+"""Relative tolerance of a setpoint's norm, for rounding to 32 bits."""
+_VERTICAL_TOLERANCE = 1e-3
+"""Largest vertical velocity [m/s] or acceleration [m/s²] treated as zero."""
 _UNBOUNDED = 1e6
-"""In place of a bound that there is not, as the messages of the bus carry no larger numbers."""
+"""Substitute for a missing bound; messages of the bus carry no larger numbers."""
 
 
 class Setpoint(NamedTuple):
-    """A velocity that is wanted, an acceleration, or both, in the scenario's coordinates."""
+    """Commanded velocity, acceleration, or both, in scenario coordinates."""
 
     velocity: Vector | None
-    """[m/s]"""
+    """Velocity [m/s]; None: not commanded."""
     acceleration: Vector | None
-    """[m/s²]"""
+    """Acceleration [m/s²]; None: not commanded."""
 
 
 REST = Setpoint((0.0, 0.0), None)
-"""Of a UAV that is to stay where it is."""
+"""Setpoint of a UAV at rest."""
 
 
 def bounds(limits: Limits) -> Vector:
-    """Largest speed [m/s] and acceleration [m/s²]."""
+    """Return maximum speed [m/s] and acceleration [m/s²]."""
     v, u = limits.max_speed, limits.max_acceleration
     return (_UNBOUNDED if v is None else v), (_UNBOUNDED if u is None else u)
 
 
-def _level(ignored: bool, up: float, what: str) -> None:
-    if not ignored and not abs(up) <= _LEVEL:  # NaN is none either
+def _check_vertical(ignored: bool, up: float, what: str) -> None:
+    if not ignored and not abs(up) <= _VERTICAL_TOLERANCE:  # rejects NaN too
         raise Refused(VERTICAL, f"{what} of {up:g} down")
 
 
@@ -55,20 +55,22 @@ def _vector(north: float, east: float, bound: float, what: str) -> Vector:
     size = math.hypot(north, east)
     if not math.isfinite(size):
         raise Refused(NOT_FINITE, what)
-    if size > bound * (1.0 + _ROUNDING):
-        raise Refused(BEYOND_BOUNDS, f"{what} of {size:.3g} with at most {bound:g}")
+    if size > bound * (1.0 + _NORM_TOLERANCE):
+        raise Refused(BEYOND_BOUNDS, f"{what} of {size:.3g} (allowed: up to {bound:g})")
     return east, north
 
 
 def read_setpoint(message: MavMessage, limits: Limits) -> Setpoint:
-    """The setpoint of a SET_POSITION_TARGET_LOCAL_NED, by its type mask. Yaw is ignored: there is none.
+    """Return the setpoint in a SET_POSITION_TARGET_LOCAL_NED, according to its type mask.
+
+    Yaw is ignored, since vehicles have no heading.
 
     Args:
-        message: MAVLink's.
-        limits: Bounds of the UAV, which are not to be exceeded.
+        message: MAVLink message.
+        limits: Bounds of the UAV.
 
     Raises:
-        Refused: If it is none that can be flown, with the cause.
+        Refused: If the setpoint is invalid or exceeds the bounds, with the cause.
     """
     if message.get_type() != "SET_POSITION_TARGET_LOCAL_NED":
         raise Refused(NOT_SUPPORTED, message.get_type())
@@ -79,10 +81,10 @@ def read_setpoint(message: MavMessage, limits: Limits) -> Setpoint:
         raise Refused(POSITION, "a setpoint")
     velocity = acceleration = None
     if mask & _VELOCITY == 0:
-        _level(bool(mask & _UP_VELOCITY), message.vz, "a velocity")
+        _check_vertical(bool(mask & _UP_VELOCITY), message.vz, "a velocity")
         velocity = _vector(message.vx, message.vy, v_max, "a velocity")
     if mask & _ACCELERATION == 0:
-        _level(bool(mask & _UP_ACCELERATION), message.afz, "an acceleration")
+        _check_vertical(bool(mask & _UP_ACCELERATION), message.afz, "an acceleration")
         acceleration = _vector(message.afx, message.afy, u_max, "an acceleration")
     halves = {mask & _VELOCITY, mask & _ACCELERATION} - {0, _VELOCITY, _ACCELERATION}
     force = mask & _FORCE and acceleration is not None
@@ -94,16 +96,17 @@ def read_setpoint(message: MavMessage, limits: Limits) -> Setpoint:
 def setpoint_control(
     setpoint: Setpoint, observation: UavObservation, briefing: UavBriefing
 ) -> Vector:
-    r"""The acceleration [m/s²] that flies a setpoint, within the UAV's bound.
+    r"""Return the acceleration [m/s²] that tracks a setpoint, within the UAV's bound.
 
     $$ u = clip_{u_{max}}(a + k (v^* - v)), \quad k = \frac{1}{dt + e \, d} $$
 
-    Without a delay d of commands the velocity is reached as soon as the bound lets it, with one without overshoot.
+    Without a command delay d, the UAV reaches the velocity as soon as the bound permits. With a delay, it does not
+    overshoot.
 
     Args:
-        setpoint: What is wanted.
-        observation: Where the UAV is, and how fast.
-        briefing: Its bounds, the length of a tick and the delay of its commands.
+        setpoint: Commanded velocity and acceleration.
+        observation: Position and velocity of the UAV.
+        briefing: Bounds, tick duration and command delay of the UAV.
     """
     u_x, u_y = (0.0, 0.0) if setpoint.acceleration is None else setpoint.acceleration
     if setpoint.velocity is not None:

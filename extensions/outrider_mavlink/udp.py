@@ -1,4 +1,4 @@
-"""Datagrams to and from ground stations and autopilots, as MAVLink messages; what is none is counted."""
+"""MAVLink messages in UDP datagrams to and from ground stations and autopilots."""
 
 import secrets
 import select
@@ -14,25 +14,25 @@ from typing import NamedTuple
 from bus.errors import BusError, OutriderError, ScenarioError
 from outrider_mavlink.dialect import MavMessage, mavlink
 
-UNREADABLE = "is no MAVLink message"
-_MOST = 500
-"""Datagrams that are read at once before anything else is done."""
+UNREADABLE = "is not a MAVLink message"
+_MAX_BATCH = 500
+"""Maximum number of datagrams read in one batch."""
 _LARGEST = 65_535
-_QUIET = 30.0
-"""A party that has been silent for so long is sent nothing more [s]."""
-MOST_PEERS = 16
-"""Parties that one socket reaches at most."""
+_PEER_TIMEOUT = 30.0
+"""Time without a message after which a peer receives nothing more [s]."""
+MAX_PEERS = 16
+"""Maximum number of peers of one socket."""
 
 
 class Address(NamedTuple):
-    """An end of a UDP connection."""
+    """UDP endpoint."""
 
     host: str
     port: int
 
 
 class Peer(NamedTuple):
-    """A party of MAVLink's: two behind one address are two."""
+    """MAVLink component at an address; several components may share one address."""
 
     address: Address
     system: int
@@ -46,39 +46,39 @@ def parse_address(text: str, *, listens: bool) -> Address:
     """Return host and port of `HOST:PORT`, `udpout:HOST:PORT` or `udpin:HOST:PORT`.
 
     Args:
-        text: As the user has written it.
-        listens: True: it is where we listen.
+        text: Address as entered by the user.
+        listens: True for an address to listen on.
 
     Raises:
-        ScenarioError: If it is none.
+        ScenarioError: If the address is invalid.
     """
     kind = "udpin" if listens else "udpout"
     host, _, port = text.removeprefix(f"{kind}:").partition(":")
     if not host or not port.isdecimal() or not 0 < int(port) < 65536:
         option = "--in" if listens else "--to"
         raise ScenarioError(
-            f"{option} {text}: allowed is HOST:PORT, such as 127.0.0.1:14550, or {kind}:HOST:PORT"
+            f"{option} {text}: invalid address; allowed: HOST:PORT, such as 127.0.0.1:14550, or {kind}:HOST:PORT"
         )
     return Address(host, int(port))
 
 
 def private_port() -> int:
-    """Return a random UDP port of this machine that no process listens on.
+    """Return a random unused UDP port of this machine.
 
     Raises:
-        BusError: If none is found.
+        BusError: If no unused port is found.
     """
     for _ in range(100):
         port = 20_000 + secrets.randbelow(40_000)
         with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", port))
             return port
-    raise BusError("127.0.0.1: no free UDP port was found")
+    raise BusError("127.0.0.1: no free UDP port")
 
 
 @dataclass(slots=True)
-class _Line:
-    """A socket, and whom it reaches: one party, or whoever has spoken to it."""
+class _Link:
+    """Socket with a fixed peer, or with all peers that have sent to it."""
 
     socket: socket.socket
     fixed: Address | None
@@ -87,14 +87,14 @@ class _Line:
     def reached(self, now: float) -> list[Address]:
         if self.fixed is not None:
             return [self.fixed]
-        for address in [one for one, when in self.received.items() if now - when > _QUIET]:
+        for address in [one for one, when in self.received.items() if now - when > _PEER_TIMEOUT]:
             del self.received[address]
         return list(self.received)
 
     def admits(self, address: Address, now: float) -> bool:
-        """Return whether there is room for the party that has sent something."""
+        """Return True, and register the sender, unless the socket has too many peers."""
         knows = self.fixed is not None or address in self.received
-        if not knows and len(self.reached(now)) >= MOST_PEERS:
+        if not knows and len(self.reached(now)) >= MAX_PEERS:
             return False
         self.received[address] = now
         return True
@@ -105,7 +105,7 @@ def _resolved(address: Address) -> Address:
         found = socket.getaddrinfo(*address, socket.AF_INET, socket.SOCK_DGRAM)
     except OSError as error:
         raise ScenarioError(
-            f"{address.host}:{address.port}: {error.strerror or error}; allowed: a host that has an address"
+            f"{address.host}:{address.port}: {error.strerror or error}; allowed: a host name with an IPv4 address"
         ) from error
     return Address(*found[0][4][:2])
 
@@ -121,27 +121,27 @@ def _bind(opened: socket.socket, address: Address) -> None:
 
 
 class Network:
-    """All the sockets of one process.
+    """UDP sockets of one process.
 
     Args:
-        out: Addresses that are told without having asked.
-        listen: Addresses at which others may ask.
+        out: Addresses to send to.
+        listen: Addresses to listen on.
 
     Raises:
         ScenarioError: If a host has no address.
-        BusError: If an address cannot be listened on.
+        BusError: If the process cannot listen on an address.
     """
 
     def __init__(self, out: Iterable[Address] = (), listen: Iterable[Address] = ()) -> None:
         self.unreadable = 0
-        """Datagrams, or parts of them, that held no message."""
+        """Number of datagrams, or parts of them, without a valid message."""
         self.strangers = 0
-        """Datagrams to a socket that reaches one party, from another: nobody reads them."""
+        """Number of discarded datagrams from an address other than the socket's fixed peer."""
         self.sent: Counter[str] = Counter()
-        """Messages by type, however many parties each went to."""
-        self._lines: list[_Line] = []
+        """Number of messages sent, by type; a message to several peers counts once."""
+        self._links: list[_Link] = []
         self.turned_away: list[tuple[Peer, MavMessage]] = []
-        """Messages of the newest `receive` from parties for which there was no room."""
+        """Messages of the latest `receive` from peers beyond the maximum."""
         self._guests: dict[Address, socket.socket] = {}
         try:
             for address in out:
@@ -155,41 +155,41 @@ class Network:
     def _open(self, fixed: Address | None) -> socket.socket:
         opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         opened.setblocking(False)
-        self._lines.append(_Line(opened, fixed, {}))
+        self._links.append(_Link(opened, fixed, {}))
         return opened
 
     def receive(self, patience: float) -> Iterator[tuple[Peer, MavMessage]]:
-        """The messages that are there, after a wait of up to `patience` [s] for the first."""
+        """Yield the received messages; wait up to `patience` [s] for the first one."""
         self.turned_away.clear()
         self._guests.clear()
-        sockets = {line.socket: line for line in self._lines}
+        sockets = {link.socket: link for link in self._links}
         ready, _, _ = select.select(list(sockets), [], [], patience)
         for one in ready:
             yield from self._read(sockets[one])
 
-    def _read(self, line: _Line) -> Iterator[tuple[Peer, MavMessage]]:
-        for _ in range(_MOST):
+    def _read(self, link: _Link) -> Iterator[tuple[Peer, MavMessage]]:
+        for _ in range(_MAX_BATCH):
             try:
-                data, (host, port) = line.socket.recvfrom(_LARGEST)
+                data, (host, port) = link.socket.recvfrom(_LARGEST)
             except BlockingIOError:
                 return
-            except OSError:  # nobody listened where we have sent
+            except OSError:  # an earlier datagram reached no listener
                 continue
             address = Address(host, port)
-            if line.fixed not in (None, address):
+            if link.fixed not in (None, address):
                 self.strangers += 1
                 continue
             found = self._parse(data)
             peers = [Peer(address, one.get_srcSystem(), one.get_srcComponent()) for one in found]
             messages = zip(peers, found, strict=True)
-            if found and not line.admits(address, time.monotonic()):
-                self._guests[address] = line.socket
+            if found and not link.admits(address, time.monotonic()):
+                self._guests[address] = link.socket
                 self.turned_away += messages
             else:
                 yield from messages
 
     def _parse(self, data: bytes) -> list[MavMessage]:
-        """The messages of one datagram: each holds whole ones, so nothing of one can spoil the next."""
+        """Return the messages of one datagram; a new parser prevents damage to later datagrams."""
         parser = mavlink.MAVLink(None)
         parser.robust_parsing = True
         try:
@@ -205,19 +205,21 @@ class Network:
         """Send a packed message.
 
         Args:
-            packed: Its bytes.
-            kind: Its type, which is counted.
-            to: To this party alone, also if it was turned away just now; None: to everybody.
+            packed: Bytes of the message.
+            kind: Type of the message, for the counters.
+            to: Single receiver, possibly one just turned away; None: all peers.
         """
         now = time.monotonic()
         self.sent[kind] += 1
-        reached = [(line.socket, one) for line in self._lines for one in line.reached(now)]
+        reached = [(link.socket, one) for link in self._links for one in link.reached(now)]
         for opened, address in (*reached, *((one, who) for who, one in self._guests.items() if to)):
             if to is None or to == address:
-                with suppress(OSError):  # a full buffer, or nobody there: as a radio would
+                with suppress(
+                    OSError
+                ):  # a full buffer or a missing receiver loses the message, as on a radio
                     opened.sendto(packed, address)
 
     def close(self) -> None:
-        """Give back all sockets."""
-        for line in self._lines:
-            line.socket.close()
+        """Close all sockets."""
+        for link in self._links:
+            link.socket.close()

@@ -1,4 +1,4 @@
-"""Reading the recording in a rosbag2 folder, up to the first of its records that is missing or damaged."""
+"""Reader of the recording in a rosbag2 folder, up to the first missing or damaged record."""
 
 import math
 from collections.abc import Iterator
@@ -15,8 +15,8 @@ from outrider.recording.reader import Damage, Entry, decoded, out_of_range, stre
 from outrider_ros2.bag_records import RECORDS, bag_files, record_in
 
 
-class _Kept(NamedTuple):
-    """A record of the recording in a bag."""
+class _Record(NamedTuple):
+    """Record of the recording in a bag."""
 
     number: int
     entry: Entry
@@ -26,24 +26,24 @@ def bag_entries(folder: Path, damage: Damage) -> Iterator[Entry]:
     """Read the messages of the recording in a bag.
 
     Args:
-        folder: The bag.
-        damage: Receives where and why reading ended.
+        folder: Folder of the bag.
+        damage: Set to the place and the reason if reading ends early.
 
     Raises:
-        ScenarioError: If it is no bag, or holds no recording of Outrider's.
+        ScenarioError: If the folder is not a bag, or holds no Outrider recording.
     """
     damage.end = damage.size = sum(
         file.stat().st_size for file in folder.iterdir() if file.is_file()
     )
     for count, (number, entry) in enumerate(_records_of_parts(_in_order(folder), damage)):
         if number != count:
-            damage.reason = f"its record {count} is missing"
+            damage.reason = f"record {count} is missing"
             return
         yield entry
 
 
 def _in_order(folder: Path) -> list[Path]:
-    """Return the files of a bag that hold records, by the number of their first; last those damaged before it."""
+    """Return the files with records, sorted by their first record; files damaged before it come last."""
     first: dict[Path, float] = {}
     reason = ""
     for file in bag_files(folder):
@@ -54,15 +54,15 @@ def _in_order(folder: Path) -> list[Path]:
             reason = reason or damage.reason
     if not math.isfinite(min(first.values(), default=math.inf)):
         raise ScenarioError(
-            f"{folder}: nothing whole is in it ({reason})"
+            f"{folder}: no intact record ({reason})"
             if reason
-            else f"{folder}: not a recording of Outrider: no topic {RECORDS} in it"
+            else f"{folder}: not an Outrider recording: topic {RECORDS} is missing"
         )
     return sorted(first, key=lambda file: first[file])
 
 
-def _records_of_parts(files: list[Path], damage: Damage) -> Iterator[_Kept]:
-    """Read the records in the files of a bag, up to where one is damaged."""
+def _records_of_parts(files: list[Path], damage: Damage) -> Iterator[_Record]:
+    """Read the records in the files of a bag, up to the first damage."""
     for file in files:
         part = Damage()
         yield from _records_of(file, part)
@@ -72,23 +72,23 @@ def _records_of_parts(files: list[Path], damage: Damage) -> Iterator[_Kept]:
             return
 
 
-def _records_of(path: Path, damage: Damage) -> Iterator[_Kept]:
+def _records_of(path: Path, damage: Damage) -> Iterator[_Record]:
     channels: set[int] = set()
     for record in stream(path, damage):
         if isinstance(record, records.Channel) and record.topic == RECORDS:
             channels.add(record.id)
         elif isinstance(record, records.Message) and record.channel_id in channels:
             try:
-                kept = record_in(record.data)
+                found = record_in(record.data)
             except ValueError as error:
                 seconds = record.log_time / 1e9
                 raise ScenarioError(
-                    f"{path}: {RECORDS} at {seconds:g} s: {error}; allowed: what Outrider writes"
+                    f"{path}: {RECORDS} at {seconds:g} s: {error}; allowed: records written by Outrider"
                 ) from error
-            if kept.time > schemas.LATEST:
-                raise out_of_range(path, kept.topic, kept.time)
-            yield _Kept(
-                kept.number, Entry(topic=kept.topic, time=kept.time, data=bytes(kept.message))
+            if found.time > schemas.LATEST:
+                raise out_of_range(path, found.topic, found.time)
+            yield _Record(
+                found.number, Entry(topic=found.topic, time=found.time, data=bytes(found.message))
             )
 
 
@@ -97,22 +97,22 @@ _DECODERS: dict[str, tuple[schemas.Topic, "msgspec.json.Decoder[Any]"]] = {
     for topic in schemas.TOPICS
     if topic is not schemas.SCENARIO
 }
-_WORDS = msgspec.json.Decoder(schemas.OperatorCommand)
+_OPERATOR_DECODER = msgspec.json.Decoder(schemas.OperatorCommand)
 
 
 def import_bag(folder: Path, file: Path, damage: Damage) -> Iterator[float]:
-    """Write the recording in a bag into an MCAP file, which is replaced if it is there.
+    """Write the recording in a bag to an MCAP file; replace an existing file.
 
     Args:
-        folder: The bag.
-        file: The file.
-        damage: Receives where and why reading the bag ended.
+        folder: Folder of the bag.
+        file: MCAP file to write.
+        damage: Set to the place and the reason if reading ends early.
 
     Yields:
         Time of each message on the recording's clock [s].
 
     Raises:
-        ScenarioError: If the bag holds no recording of Outrider's.
+        ScenarioError: If the bag holds no Outrider recording.
         OSError: If the file cannot be written.
     """
     written: RecordingFile | None = None
@@ -128,7 +128,7 @@ def import_bag(folder: Path, file: Path, damage: Damage) -> Iterator[float]:
                 continue
             ugv = schemas.ugv_of(entry.topic)
             if ugv is not None:
-                topic, decoder = schemas.operator_topic(ugv), _WORDS
+                topic, decoder = schemas.operator_topic(ugv), _OPERATOR_DECODER
             elif entry.topic in _DECODERS:
                 topic, decoder = _DECODERS[entry.topic]
             else:

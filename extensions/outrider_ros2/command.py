@@ -1,4 +1,4 @@
-"""`outrider ros2`: a run seen, driven and flown from ROS 2."""
+"""`outrider ros2`: publish a run to ROS 2 nodes, and control it from them."""
 
 import time
 from pathlib import Path
@@ -19,27 +19,29 @@ if TYPE_CHECKING:
 
 app = typer.Typer(rich_markup_mode=None)
 
-_Domain = Annotated[int, typer.Option(help="ROS 2's domain id, 0 to 232.", envvar="ROS_DOMAIN_ID")]
-_Namespace = Annotated[str, typer.Option(help="Before the names of all topics, such as /fleet.")]
+_Domain = Annotated[
+    int, typer.Option(help="Set the ROS 2 domain id, 0 to 232.", envvar="ROS_DOMAIN_ID")
+]
+_Namespace = Annotated[str, typer.Option(help="Prefix all topic names, for example with /fleet.")]
 _Operator = Annotated[
     bool,
     typer.Option(
         "--operator",
-        help="Take /ugv_0/cmd_vel and the services /pause, /step and /reset too; needs the operator's credentials.",
+        help="Accept cmd_vel and the services pause, step and reset; requires operator credentials.",
     ),
 ]
 _Vehicle = Annotated[
     str,
     typer.Option(
         metavar="NAME",
-        help="Join as this vehicle, with its credentials: a ROS 2 node flies it by the topics /NAME/pilot/...",
+        help="Join as this vehicle, controlled by a ROS 2 node on /NAME/pilot/...",
     ),
 ]
 _EveryTick = Annotated[
     bool,
     typer.Option(
         "--every-tick",
-        help="Publish the truth of every tick; by default some 40 a second of wall time.",
+        help="Publish the truth of every tick, not at about 40 Hz.",
     ),
 ]
 
@@ -58,20 +60,21 @@ def command(
     every_tick: _EveryTick = False,
     json: options.Json = False,
 ) -> None:
-    """Show a run to ROS 2 nodes, or let them fly its vehicles.
+    """Publish a run to ROS 2 nodes, or let them control its vehicles.
 
-    There is no bridge in between: it speaks the wire format of rmw_zenoh on the run's router. Nodes with
-    RMW_IMPLEMENTATION=rmw_zenoh_cpp connect to the same router, as clients, and find odometry, transforms, maps,
-    markers, diagnostics and simulated time. Only what somebody reads is asked for and converted. Ends with the run, or
-    at Ctrl-C.
+    The command uses the wire format of rmw_zenoh on the run's router. ROS 2 nodes with
+    RMW_IMPLEMENTATION=rmw_zenoh_cpp connect to the same router as clients. They receive odometry, transforms, maps,
+    markers, diagnostics and simulated time. Topics without subscribers are neither requested nor converted. The
+    command ends with the run, or at Ctrl-C.
 
-    With --operator a node may drive: a Twist or TwistStamped takes the wheel, a second of silence lets another node
-    have it, and in the end it goes back to whoever drove before. What cannot be passed on is counted by cause, and told
-    in /diagnostics.
+    With --operator, nodes can drive UGVs: a Twist or TwistStamped on /ugv_0/cmd_vel takes control of ugv_0. After one
+    second of silence another node may take control. At the end, control returns to the previous driver. The services
+    are /pause, /step and /reset. Rejected messages are counted by cause and published on /diagnostics.
 
-    With --vehicle it waits for a node that reads /NAME/pilot/observation (all of it, as JSON) or /NAME/pilot/odom, and
-    joins. The node answers each observation on /NAME/pilot/command (JSON) or, with the observation's stamp, on
-    /NAME/pilot/accel. It gets that vehicle's topics and no others.
+    With --vehicle, the command waits for a node that subscribes to /NAME/pilot/observation (complete, as JSON) or
+    /NAME/pilot/odom, and then joins with the vehicle's credentials. The node answers each observation on
+    /NAME/pilot/command (JSON) or, with the stamp of the observation, on /NAME/pilot/accel. The node can access the
+    topics of this vehicle only.
 
     Example: outrider ros2 --connect tcp/127.0.0.1:17447 --credentials credentials/ros2.json
 
@@ -102,30 +105,30 @@ def command(
         observer, lost = _observe(
             session, stop, domain=domain, namespace=space, every_tick=every_tick
         )
-    _tell(observer, domain, lost=lost, every_tick=every_tick, json=json)
+    _report(observer, domain, lost=lost, every_tick=every_tick, json=json)
     if lost:
-        raise PeerLost(f"the router at {connect} has gone")
+        raise PeerLost(f"the router at {connect} disconnected")
 
 
 def _check_alone(others: dict[str, object]) -> None:
-    """Refuse options that a vehicle's own topics do not have."""
+    """Reject options that cannot be combined with --vehicle."""
     for option in (option for option, given in others.items() if given):
         raise typer.BadParameter(
-            f"{option} and --vehicle: these options do not go together; a vehicle's topics are /NAME/pilot/..."
+            f"{option} cannot be combined with --vehicle, whose topics are /NAME/pilot/..."
         )
 
 
-def _tell(
+def _report(
     observer: "RosObserver", domain: int, *, lost: bool, every_tick: bool, json: bool
 ) -> None:
-    """Print what was published."""
+    """Print the number of published messages and rejections."""
     from outrider.cli.console import ERR, print_json
 
     found = {
         "domain": domain,
         "topics": observer.topics,
         "missing_ticks": observer.missing_ticks,
-        "commands": observer.commands.taken if observer.commands else 0,
+        "commands": observer.commands.accepted if observer.commands else 0,
         "refused": dict(observer.refusals.counts),
         "router_lost": lost,
     }
@@ -139,15 +142,15 @@ def _tell(
 
 @app.command("export")
 def export_bag(
-    file: Annotated[Path, typer.Argument(help="A recording.")],
-    bag: Annotated[Path, typer.Argument(help="The new folder.")],
+    file: Annotated[Path, typer.Argument(help="Recording to export.")],
+    bag: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
     flight: options.FlightNumber = None,
     json: options.Json = False,
 ) -> None:
-    """Write a recorded flight as a rosbag2 bag.
+    """Export a recorded run as a rosbag2 bag.
 
-    The bag has the topics of outrider ros2 at every tick, and the recording itself on one more. After Ctrl-C nothing
-    stays.
+    The bag has the topics of outrider ros2 at every tick, and the recording itself on one more topic. Ctrl-C removes
+    the incomplete bag.
 
     Example: outrider ros2 export run.mcap bag
     """
@@ -179,14 +182,14 @@ def export_bag(
 def import_bag(
     bag: Annotated[
         Path,
-        typer.Argument(help="A folder that outrider ros2 export or record --format ros2 made."),
+        typer.Argument(help="Bag written by outrider ros2 export or record --format ros2."),
     ],
-    file: Annotated[Path, typer.Argument(help="The recording to write; one there is replaced.")],
+    file: Annotated[Path, typer.Argument(help="Recording to write; an existing file is replaced.")],
     json: options.Json = False,
 ) -> None:
-    """Write the recording in a bag as an MCAP file.
+    """Import the recording in a bag as an MCAP file.
 
-    It is then replayed, drawn and flown again like any other.
+    The file can be replayed, drawn and flown again like any other recording.
 
     Example: outrider ros2 import bag run.mcap
     """
@@ -208,14 +211,14 @@ def import_bag(
         print_json({"bag": str(bag), "file": str(file), "messages": messages} | whole)
     else:
         ERR.tell(
-            f"{file}: {messages} messages{f', not whole: {damage.reason}' if damage.reason else ''}"
+            f"{file}: {messages} messages{f', incomplete: {damage.reason}' if damage.reason else ''}"
         )
 
 
 def _observe(
     session: "Session", stop: Stop, *, domain: int, namespace: str, every_tick: bool
 ) -> "tuple[RosObserver, bool]":
-    """Publish until the run is over or somebody wants the end; whether it was the router that went."""
+    """Publish until the run ends or the user stops it; return the observer and True if the router disconnected."""
     from outrider.view.operator import RunClient
     from outrider_ros2.observing import RosObserver
     from outrider_ros2.ros_commands import RosCommands
@@ -243,7 +246,7 @@ def _follow(session: "Session", observer: "RosObserver", stop: Stop) -> bool:
     from bus.presence import Presence
 
     simulator, router = Presence(session, SIMULATOR_NAME), RouterTimer(session)
-    told = False
+    announced = False
     while not stop:
         observer.step(0.2)
         over = observer.status is not None and observer.status.over
@@ -251,14 +254,14 @@ def _follow(session: "Session", observer: "RosObserver", stop: Stop) -> bool:
             return not over
         if over and simulator.absent_for() > AWAY:
             return False
-        if not told and observer.status is None:
-            told = True
+        if not announced and observer.status is None:
+            announced = True
             print_waiting(session.run)
     return False
 
 
 def _role_of(name: str, credentials: Path | None) -> Role:
-    """The kind of vehicle, by its credentials; without them by how its name begins."""
+    """Return the kind of the vehicle, from its credentials or else from its name."""
     from bus.credentials import read_credential
 
     kinds = (Role.UAV, Role.UGV)
@@ -268,13 +271,14 @@ def _role_of(name: str, credentials: Path | None) -> Role:
         role = next((kind for kind in kinds if name.startswith(kind)), None)
     if role not in kinds:
         raise ScenarioError(
-            f"--vehicle {name}: a UAV or a UGV? without its credentials its name must begin with uav or ugv"
+            f"--vehicle {name}: unknown kind of vehicle; allowed: its --credentials, "
+            "or a name that begins with uav or ugv"
         )
     return role
 
 
 def _fly(joining: options.Joining, *, domain: int, json: bool) -> None:
-    """Wait for a node that flies the vehicle, and let it."""
+    """Wait for a node that controls the vehicle, then fly the vehicle with it."""
     from outrider.cli.console import ERR, print_json
     from outrider_ros2.ros_node import RosNode
     from outrider_ros2.ros_pilot import RosPilot
@@ -284,9 +288,9 @@ def _fly(joining: options.Joining, *, domain: int, json: bool) -> None:
         node = RosNode(session, domain=domain, name="outrider", namespace=f"/{name}")
         pilot = RosPilot(node, joining.party)
         with stop_on_signals() as stop:
-            if not pilot.there:
-                ERR.tell(f"waiting for a ROS 2 node that reads /{name}/pilot/observation")
-            while not pilot.there and not stop:
+            if not pilot.connected:
+                ERR.tell(f"waiting for a ROS 2 node that subscribes to /{name}/pilot/observation")
+            while not pilot.connected and not stop:
                 time.sleep(0.05)
         if stop:
             raise typer.Exit(stop.exit_code)
@@ -299,4 +303,4 @@ def _fly(joining: options.Joining, *, domain: int, json: bool) -> None:
     if json:
         print_json(found)
     else:
-        ERR.tell(f"{name}: {sent} commands of a ROS 2 node")
+        ERR.tell(f"{name}: {sent} commands from a ROS 2 node")

@@ -1,8 +1,8 @@
-"""Telemetry as ROS 2 messages: pure functions, one a topic.
+"""Conversion of telemetry to ROS 2 messages: one pure function per topic.
 
-Frames by REP 103 and 105: `map` with x east, y north, z up, in metres; `uav_0/base_link` moves in it. Vehicles are
-points in the plane and have no heading, so a base_link is never turned against the map: what stands in the one frame
-can be read in the other, and a twist in `uav_0/base_link` is the velocity in `map`. Stamps are simulated time.
+Frames follow REP 103 and 105: `map` with x east, y north, z up, in metres; `uav_0/base_link` moves in it. Vehicles are
+points in the plane without heading, so a base_link always has the orientation of the map. A twist in
+`uav_0/base_link` is therefore the velocity in `map`. Stamps are simulated time.
 """
 
 import math
@@ -17,30 +17,30 @@ from outrider_ros2.interfaces import RosMessage, make
 from outrider_ros2.run_view import PathTrack, RunView
 
 LATEST = (1 << 31) * 1_000_000_000 - 1
-"""The latest time [ns]: ROS 2 counts seconds in 32 bits."""
+"""Latest time that ROS 2 can represent [ns]: it counts seconds in 32 bits."""
 MAP = "map"
 
 
 def base_link(vehicle: str) -> str:
-    """The frame of a vehicle."""
+    """Return the frame of a vehicle."""
     return f"{vehicle}/base_link"
 
 
 def sensor_frame(vehicle: str) -> str:
-    """The frame of a UAV's downward sensor."""
+    """Return the frame of a UAV's downward sensor."""
     return f"{vehicle}/sensor"
 
 
 def stamp(seconds: float) -> RosMessage:
-    """A simulated time.
+    """Return a simulated time [s] as a ROS 2 time.
 
     Raises:
-        ScenarioError: If ROS 2 cannot tell it: it counts seconds in 32 bits.
+        ScenarioError: If the time exceeds the 32-bit seconds of ROS 2.
     """
     nanoseconds = round(seconds * 1e9)
     if nanoseconds > LATEST:
         raise ScenarioError(
-            f"time = {seconds:g} s: out of range of ROS 2; allowed up to {LATEST / 1e9:g}"
+            f"time = {seconds:g} s: out of range of ROS 2; allowed: up to {LATEST / 1e9:g}"
         )
     return make(
         "builtin_interfaces/msg/Time", sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9
@@ -48,7 +48,7 @@ def stamp(seconds: float) -> RosMessage:
 
 
 def header(seconds: float, frame: str = MAP) -> RosMessage:
-    """A header in a frame."""
+    """Return a header with a simulated time [s] and a frame."""
     return make("std_msgs/msg/Header", stamp=stamp(seconds), frame_id=frame)
 
 
@@ -67,7 +67,7 @@ def _upright() -> RosMessage:
 
 
 def pose_at(position: Vector) -> RosMessage:
-    """Return the pose of what stands there, not turned [m]."""
+    """Return a pose on the ground without rotation [m]."""
     return make("geometry_msgs/msg/Pose", position=point_at(position), orientation=_upright())
 
 
@@ -78,12 +78,12 @@ def _covariance(xx: float = 0.0, xy: float = 0.0, yy: float = 0.0) -> np.ndarray
 
 
 def clock(truth: Truth) -> RosMessage:
-    """Simulated time, for nodes with `use_sim_time`."""
+    """Return the simulated time, for nodes with `use_sim_time`."""
     return make("rosgraph_msgs/msg/Clock", clock=stamp(truth.time))
 
 
 def transform(seconds: float, parent: str, child: str, position: Vector) -> RosMessage:
-    """The place of a frame in another."""
+    """Return the transform from a parent to a child frame at a position [m]."""
     return make(
         "geometry_msgs/msg/TransformStamped",
         header=header(seconds, parent),
@@ -95,7 +95,7 @@ def transform(seconds: float, parent: str, child: str, position: Vector) -> RosM
 
 
 def transforms(truth: Truth) -> RosMessage:
-    """True pose of each vehicle: `map` to its base_link."""
+    """Return the true pose of each vehicle: `map` to its base_link."""
     found = [
         transform(truth.time, MAP, base_link(name), vehicle.position)
         for name, vehicle in truth.vehicles.items()
@@ -104,7 +104,7 @@ def transforms(truth: Truth) -> RosMessage:
 
 
 def static_transforms(view: RunView) -> RosMessage:
-    """The UAVs' downward sensors: their x axis looks at the ground."""
+    """Return the transforms of the UAVs' downward sensors, whose x axes point at the ground."""
     half = math.sqrt(0.5)
     down = make("geometry_msgs/msg/Quaternion", x=0.0, y=half, z=0.0, w=half)
     found = []
@@ -117,13 +117,13 @@ def static_transforms(view: RunView) -> RosMessage:
 
 
 def odometry(seconds: float, vehicle: str, position: Vector, velocity: Vector) -> RosMessage:
-    """A vehicle's position and velocity.
+    """Return the odometry of a vehicle.
 
     Args:
-        seconds: When [s].
-        vehicle: Its name.
-        position: In `map` [m].
-        velocity: In its base_link, which is never turned [m/s].
+        seconds: Simulated time [s].
+        vehicle: Name of the vehicle.
+        position: Position in `map` [m].
+        velocity: Velocity in its base_link, which has the orientation of `map` [m/s].
     """
     twist = make("geometry_msgs/msg/Twist", linear=vector(*velocity), angular=vector(0.0, 0.0))
     return make(
@@ -138,13 +138,13 @@ def odometry(seconds: float, vehicle: str, position: Vector, velocity: Vector) -
 
 
 def true_odometry(truth: Truth, vehicle: str) -> RosMessage:
-    """True pose and velocity of a vehicle."""
+    """Return the true pose and velocity of a vehicle."""
     state = truth.vehicles[vehicle]
     return odometry(truth.time, vehicle, state.position, state.velocity)
 
 
 def acceleration(truth: Truth, vehicle: str) -> RosMessage:
-    """Acceleration applied since the last tick, after the bounds [m/s²]."""
+    """Return the acceleration applied since the last tick, after clipping to the bounds [m/s²]."""
     return make(
         "geometry_msgs/msg/AccelStamped",
         header=header(truth.time, base_link(vehicle)),
@@ -157,7 +157,7 @@ def acceleration(truth: Truth, vehicle: str) -> RosMessage:
 
 
 def path(view: RunView, truth: Truth, vehicle: str) -> RosMessage:
-    """The way that a vehicle has come."""
+    """Return the path of a vehicle so far."""
     track = view.tracks.get(vehicle, PathTrack())
     poses = [
         make("geometry_msgs/msg/PoseStamped", header=header(time), pose=pose_at(position))
@@ -167,16 +167,16 @@ def path(view: RunView, truth: Truth, vehicle: str) -> RosMessage:
 
 
 def escort_of(truth: Truth, uav: str) -> EscortTruth | None:
-    """The relation of a UAV to its UGV; None where it escorts none."""
+    """Return the escort of a UAV; None if it escorts no UGV."""
     return next((one for one in truth.escorts if one.uav == uav), None)
 
 
 def detection(seconds: float, uav: str, relative_position: Vector) -> RosMessage:
-    """Place at which a UAV has seen its UGV, from itself: -p_delta.
+    """Return a detection as the position of the UGV relative to its UAV, -p_delta.
 
     Args:
-        seconds: When it was taken [s].
-        uav: Its name.
+        seconds: Simulated time of the detection [s].
+        uav: Name of the UAV.
         relative_position: p_delta = p_a - p_g with noise [m].
     """
     x, y = relative_position
@@ -188,7 +188,7 @@ def detection(seconds: float, uav: str, relative_position: Vector) -> RosMessage
 
 
 def true_detection(truth: Truth, uav: str) -> RosMessage:
-    """Detection of a UAV at this tick; None: it has none."""
+    """Return the detection of a UAV at this tick; None without a detection."""
     escort = escort_of(truth, uav)
     if escort is None or escort.detection is None:
         return None
@@ -196,7 +196,7 @@ def true_detection(truth: Truth, uav: str) -> RosMessage:
 
 
 def estimate(truth: Truth, uav: str) -> RosMessage:
-    """A UAV's estimate of its UGV's place, with its covariance; None: it says nothing."""
+    """Return a UAV's estimate of its UGV's position, with its covariance; None without a report."""
     escort = escort_of(truth, uav)
     report = None if escort is None else escort.report
     if report is None:
@@ -213,12 +213,12 @@ def estimate(truth: Truth, uav: str) -> RosMessage:
 
 
 def distance(truth: Truth, uav: str) -> RosMessage:
-    """|p_a - p_g| of a UAV and its UGV [m]."""
+    """Return the true distance |p_a - p_g| between a UAV and its UGV [m]; None if it escorts no UGV."""
     escort = escort_of(truth, uav)
     return None if escort is None else make("std_msgs/msg/Float64", data=escort.distance)
 
 
 def coverage_error(truth: Truth, uav: str) -> RosMessage:
-    """e(t) of (4) [m²]."""
+    """Return the coverage error e(t), eq. (4) [m²]; None if the UAV escorts no UGV."""
     escort = escort_of(truth, uav)
     return None if escort is None else make("std_msgs/msg/Float64", data=escort.coverage_error)

@@ -1,4 +1,4 @@
-"""Diagnostics of a run as ROS 2 messages: the run, its links, its processes and its certificates."""
+"""Diagnostics of a run as ROS 2 messages: run, links, processes and certificates."""
 
 from collections.abc import Iterable, Mapping
 
@@ -12,16 +12,16 @@ from outrider_ros2.interfaces import RosMessage, make
 
 OK, WARN, ERROR = range(3)
 """Levels of `diagnostic_msgs`."""
-_LATE, _MISSING_SHARE = 1.0, 0.05
-"""A link is warned of whose newest message is older [s], or that loses a larger share."""
+_MAX_AGE, _MAX_LOSS = 1.0, 0.05
+"""Age of the newest message [s] and share of lost messages beyond which a link gets a warning."""
 
 
 def _fields(message: Message, *names: str) -> dict[str, object]:
-    """Some fields of one of our messages, by their names."""
+    """Return some fields of a message, by name."""
     return {name: getattr(message, name) for name in names}
 
 
-def _told(value: object) -> str:
+def _text(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     return "-" if value is None else str(value)
@@ -30,13 +30,13 @@ def _told(value: object) -> str:
 def diagnostic(
     name: str, values: Mapping[str, object], *, level: int = OK, message: str = "ok"
 ) -> RosMessage:
-    """The state of one part of the run.
+    """Return the diagnostic status of one part of the run.
 
     Args:
-        name: Of the part.
-        values: Numbers and words, by name.
-        level: One of OK, WARN and ERROR.
-        message: In a few words.
+        name: Name of the part.
+        values: Values, by name.
+        level: OK, WARN or ERROR.
+        message: Short summary.
     """
     return make(
         "diagnostic_msgs/msg/DiagnosticStatus",
@@ -45,7 +45,7 @@ def diagnostic(
         message=message,
         hardware_id="outrider",
         values=[
-            make("diagnostic_msgs/msg/KeyValue", key=key, value=_told(value))
+            make("diagnostic_msgs/msg/KeyValue", key=key, value=_text(value))
             for key, value in values.items()
         ],
     )
@@ -53,52 +53,52 @@ def diagnostic(
 
 def _run_diagnostic(status: Status) -> RosMessage:
     warnings = (*status.warnings, *status.refusals[-1:])
-    words = "over" if status.over else "paused" if status.paused else "flying"
+    state = "over" if status.over else "paused" if status.paused else "running"
     pace = ("realtime_factor", "target_factor", "late_ticks")
     return diagnostic(
         "run",
         _fields(status, "scenario", "seed", "tick", "ticks", "law", *pace)
         | {f"driver of {name}": driver for name, driver in status.drivers.items()},
         level=WARN if warnings else OK,
-        message="; ".join((words, *warnings)),
+        message="; ".join((state, *warnings)),
     )
 
 
 def _link_diagnostic(name: str, link: LinkStatus) -> RosMessage:
     ratio = link.delivery_ratio
-    bad = ratio is not None and ratio < 1.0 - _MISSING_SHARE
-    words = ["loses messages"] if bad else []
-    if link.age is not None and link.age > _LATE:
-        words.append(f"its newest is {link.age:.1f} s old")
+    bad = ratio is not None and ratio < 1.0 - _MAX_LOSS
+    problems = ["message loss"] if bad else []
+    if link.age is not None and link.age > _MAX_AGE:
+        problems.append(f"newest message is {link.age:.1f} s old")
     counts, ages = ("sent", "delivered", "queued", "in_transit"), ("age", "mean_age", "max_age")
     return diagnostic(
         f"link {name}",
         _fields(link, *counts, "delivery_ratio", *ages)
         | {f"lost: {cause}": count for cause, count in link.lost.items()},
-        level=WARN if words else OK,
-        message=", ".join(words) or "ok",
+        level=WARN if problems else OK,
+        message=", ".join(problems) or "ok",
     )
 
 
 def _vehicle_diagnostic(name: str, vehicle: VehicleStatus, *, over: bool) -> RosMessage:
-    gone = not vehicle.present and not over
+    disconnected = not vehicle.present and not over
     faulty = bool(vehicle.missing_commands or vehicle.rejected or vehicle.last_fault)
     faults = ("missing_commands", "stale_commands", "shortened_commands", "lost", "rejoined")
     return diagnostic(
         f"vehicle {name}",
         _fields(vehicle, "present", *faults)
-        | {f"refused: {cause}": count for cause, count in vehicle.rejected.items()},
-        level=ERROR if gone else WARN if faulty else OK,
-        message="its process is away" if gone else vehicle.last_fault or "ok",
+        | {f"rejected: {cause}": count for cause, count in vehicle.rejected.items()},
+        level=ERROR if disconnected else WARN if faulty else OK,
+        message="process disconnected" if disconnected else vehicle.last_fault or "ok",
     )
 
 
 def diagnostics(status: Status, own: Iterable[RosMessage] = ()) -> RosMessage:
-    """The run, its links, its vehicles' processes, and what is certified or why it is not.
+    """Return the diagnostics of run, links, vehicle processes and certificates.
 
     Args:
-        status: What the simulator tells.
-        own: More of them.
+        status: Status of the run.
+        own: Further diagnostic statuses.
     """
     found = [_run_diagnostic(status)]
     found += [
@@ -106,16 +106,16 @@ def diagnostics(status: Status, own: Iterable[RosMessage] = ()) -> RosMessage:
             f"certificate {name}",
             {"certified": certified},
             level=OK if certified else WARN,
-            message="sight is certified to be kept"
+            message="visibility is certified"
             if certified
             else f"not certified: {status.uncertified[name].text}",
         )
         for name, certified in status.certified.items()
     ]
     if status.mission is not None:
-        told, hits = msgspec.structs.asdict(status.mission), status.mission.hazards_hit
-        of_ugvs = told.pop("guarantees")
-        found.append(diagnostic("mission", told, level=WARN if hits else OK))
+        mission, hits = msgspec.structs.asdict(status.mission), status.mission.hazards_hit
+        of_ugvs = mission.pop("guarantees")
+        found.append(diagnostic("mission", mission, level=WARN if hits else OK))
         found += [
             diagnostic(
                 f"known ground {name}",

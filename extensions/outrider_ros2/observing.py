@@ -1,4 +1,4 @@
-"""The bridge as an observer: it publishes what the simulator tells observers, and asks only for what somebody reads."""
+"""Publication of an observer's telemetry to ROS 2, requested only for topics with subscribers."""
 
 import time
 from collections import Counter
@@ -17,32 +17,32 @@ from outrider_ros2.ros_node import RosNode, RosPublisher, log_refused
 from outrider_ros2.run_view import RunView, view_of
 from outrider_ros2.topics import TOPICS, TopicRow, messages_of, wire_topic
 
-_ROOM = 4096
-"""Truths that wait where every tick is wanted, before the oldest are lost."""
-_AT_ONCE = 256
-"""Messages that are taken before it is looked who reads what, and who wants the end."""
+_QUEUE_SIZE = 4096
+"""Length of the queue of truths if every tick is published; beyond it, the oldest are lost."""
+_MAX_BATCH = 256
+"""Maximum number of messages between two checks for new subscribers and for a stop signal."""
 
 
 @dataclass(slots=True)
 class _Topic:
-    """A topic that is published."""
+    """Published topic."""
 
     row: TopicRow
     publisher: RosPublisher
     due: float = 0.0
-    """Earliest time of the next message, of our clock [s]."""
-    found: int = 0
-    """The readers that were told when it was published last, as `RosPublisher.found` counts them."""
+    """Earliest time of the next message, on the monotonic clock [s]."""
+    matches: int = 0
+    """`RosPublisher.matches` when a message was published last."""
 
 
 class RosObserver:
-    """Publishes a run's telemetry to ROS 2.
+    """Publisher of a run's telemetry to ROS 2.
 
     Args:
-        session: The bridge's, or an operator's.
-        node: The bridge's node.
-        namespace: Before the names of all topics, such as `/fleet`; empty: none.
-        every_tick: Whether the truth of every tick is asked for, instead of some 40 a second.
+        session: Session of the bridge, or of an operator.
+        node: Node of the bridge.
+        namespace: Prefix of all topic names, such as `/fleet`; empty: none.
+        every_tick: True to publish the truth of every tick instead of about 40 per second.
     """
 
     def __init__(
@@ -61,49 +61,49 @@ class RosObserver:
         self._tick = -1
         self._every_tick = every_tick
         self.missing_ticks = 0
-        """Ticks that never came, where every one was asked for."""
+        """Number of missing ticks, if every tick was requested."""
         self._view: RunView | None = None
         self.status: Status | None = None
         self.commands: RosCommands | None = None
-        """The commands that it takes as an operator; None: it looks on."""
+        """Receiver of an operator's commands; None for an observer."""
         self.refusals = Refusals(log_refused)
 
     @property
     def topics(self) -> dict[str, int]:
-        """Messages sent, by topic."""
+        """Number of messages sent, by topic."""
         now = {
             f"{self._namespace}{name}": topic.publisher.sent for name, topic in self._topics.items()
         }
         return {name: self._sent[name] + now.get(name, 0) for name in self._sent | now}
 
     def step(self, patience: float) -> None:
-        """Publish what has come, and wait for up to `patience` [s] where nothing has."""
-        self._ask_for_what_is_read()
+        """Publish the received messages; wait up to `patience` [s] for the first one."""
+        self._update_subscriptions()
         first = self._inboxes.get(Truth, self._statuses)
-        received, taken = first.receive(patience), 0
+        received, count = first.receive(patience), 0
         while received is not None:
-            self._take(received.message)
-            taken += 1  # a fast run never lets it come to an end
-            received = first.next_waiting() if taken < _AT_ONCE else None
+            self._process(received.message)
+            count += 1  # bounded: in a fast run the queue is never empty
+            received = first.next_waiting() if count < _MAX_BATCH else None
         for inbox in (self._statuses, *self._inboxes.values()):
             if inbox is not first and (received := inbox.next_waiting()) is not None:
-                self._take(received.message)
+                self._process(received.message)
 
-    def _ask_for_what_is_read(self) -> None:
-        """Subscribe to the telemetry whose topics are read, and to no other: nobody makes what nobody reads."""
+    def _update_subscriptions(self) -> None:
+        """Subscribe to the telemetry of topics with subscribers, and unsubscribe from the rest."""
         read = {topic.row.source for topic in self._topics.values() if topic.publisher.wanted}
         for kind, key in self._keys.items():
             if kind in read and kind not in self._inboxes:
-                room = _ROOM if key is TRUTH else 1
-                self._inboxes[kind] = self._session.inbox(key, newest=room)
+                size = _QUEUE_SIZE if key is TRUTH else 1
+                self._inboxes[kind] = self._session.inbox(key, newest=size)
             elif kind not in read and kind in self._inboxes:
                 self._session.forget(self._inboxes.pop(kind))
                 self._tick = -1 if kind is Truth else self._tick
 
-    def _take(self, message: Message) -> None:
+    def _process(self, message: Message) -> None:
         if isinstance(message, Status):
             self.status = message
-            self._look_at(message)
+            self._set_up_topics(message)
             if self.commands is not None:
                 self.commands.follow(message)
         if self._view is None:
@@ -115,7 +115,7 @@ class RosObserver:
             self._topics[name].publisher.send(payload)
 
     def _wanted(self, message: Message) -> set[str]:
-        """Topics that are read, and due; of a tick that is told again those alone that are read since then."""
+        """Return the subscribed topics that are due; for a repeated tick, only those with new subscribers."""
         again = isinstance(message, Truth) and message.tick == self._tick
         if isinstance(message, Truth):
             if self._every_tick and message.tick > self._tick >= 0:
@@ -126,20 +126,20 @@ class RosObserver:
             publisher = topic.publisher
             if topic.row.source is not type(message) or not publisher.wanted:
                 continue
-            new = publisher.found != topic.found
+            new = publisher.matches != topic.matches
             if new or (not again and now >= topic.due):
                 wanted.add(name)
-                topic.found, topic.due = publisher.found, now + topic.row.period
+                topic.matches, topic.due = publisher.matches, now + topic.row.period
         return wanted
 
-    def _look_at(self, status: Status) -> None:
-        """Set the topics up once it is known whose there are, and anew where another run has begun."""
+    def _set_up_topics(self, status: Status) -> None:
+        """Create the topics once the vehicles are known, and again when another run starts."""
         if status.geometry is None:
             return
         view = view_of(status.scenario, status.geometry)
         if self._view is not None and self._view.scene == view.scene:
             return
-        self.close()  # what was told of another run
+        self.close()  # remove the topics of the previous run
         self._view = view
         for row in TOPICS:
             for _, name in row.names(view.scene):
@@ -150,17 +150,17 @@ class RosObserver:
 
     def _own_diagnostic(self) -> object:
         sent = sum(topic.publisher.sent for topic in self._topics.values())
-        refused = self.refusals.counts
-        told = {"messages": sent, "commands": self.commands.taken if self.commands else 0}
+        rejected = self.refusals.counts
+        values = {"messages": sent, "commands": self.commands.accepted if self.commands else 0}
         return diagnostic(
             "ros2 bridge",
-            told | {f"refused: {cause}": count for cause, count in refused.copy().items()},
-            level=WARN if refused else OK,
-            message=f"refused {self.refusals.newest}" if refused else "ok",
+            values | {f"rejected: {cause}": count for cause, count in rejected.copy().items()},
+            level=WARN if rejected else OK,
+            message=f"rejected {self.refusals.newest}" if rejected else "ok",
         )
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Remove the topics from the ROS graph."""
         self._sent = Counter(self.topics)
         for topic in self._topics.values():
             topic.publisher.close()

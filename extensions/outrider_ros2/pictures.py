@@ -17,12 +17,12 @@ from outrider_ros2.run_view import RunView
 from sim.scene.colors import FAINT, HAZARDS, LIMIT, rgb
 
 _FLAT = 0.02
-"""Thickness of what lies on the ground [m]."""
+"""Thickness of markers on the ground [m]."""
 _CORNERS = 72
-"""Of a circle."""
+"""Number of corners of a circle."""
 _CYLINDER, _LINE_STRIP, _TRIANGLES = 3, 4, 11
 _GRID = (-1, 0, 50, 100, 0, -1)
-"""Occupancy of a tile by its code in a `GroundMap`: not seen, clear, rough, blocked, a find, seen and not told."""
+"""Occupancy by the tile codes of `GroundMap`: unknown, clear, rough, blocked, find, observed but not reported."""
 
 
 def _grid(seconds: float, cell: float, cells: np.ndarray[Any, Any]) -> RosMessage:
@@ -47,19 +47,19 @@ def _cells(raw: bytes, rows: int, columns: int) -> np.ndarray[Any, Any]:
     return np.frombuffer(raw, np.uint8).reshape(rows, columns)
 
 
-def coverage(view: RunView, told: CoverageMap) -> RosMessage:
-    """The share of the desired coverage that each cell has [%]."""
-    shares = _cells(told.cells, told.rows, told.columns).astype(np.uint16)
-    return _grid(view.dt * told.tick, told.cell, (shares * 100 + 127) // 255)
+def coverage(view: RunView, source: CoverageMap) -> RosMessage:
+    """Return the coverage of each cell as a share of its desired coverage [%]."""
+    shares = _cells(source.cells, source.rows, source.columns).astype(np.uint16)
+    return _grid(view.dt * source.tick, source.cell, (shares * 100 + 127) // 255)
 
 
-def ground(view: RunView, told: GroundMap) -> RosMessage:
-    """The ground as the UGVs know it: -1 not known, 0 clear, 50 rough, 100 blocked."""
-    codes = _cells(told.tiles, told.rows, told.columns)
-    return _grid(view.dt * told.tick, told.tile, np.array(_GRID, np.int8)[codes])
+def ground(view: RunView, source: GroundMap) -> RosMessage:
+    """Return the ground known to the UGVs: -1 unknown, 0 clear, 50 rough, 100 blocked."""
+    codes = _cells(source.tiles, source.rows, source.columns)
+    return _grid(view.dt * source.tick, source.tile, np.array(_GRID, np.int8)[codes])
 
 
-def _colour(code: str, opacity: float) -> RosMessage:
+def _color(code: str, opacity: float) -> RosMessage:
     r, g, b = rgb(code)
     return make("std_msgs/msg/ColorRGBA", r=r, g=g, b=b, a=opacity)
 
@@ -70,12 +70,12 @@ def marker(
     name: str,
     number: int = 0,
     shape: int,
-    colour: RosMessage,
+    color: RosMessage,
     position: Vector = (0.0, 0.0),
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0),
     points: Iterable[Vector] = (),
 ) -> RosMessage:
-    """A marker that stays until another one with its name and number comes, and moves with its frame."""
+    """Return a marker that moves with its frame until one with the same name and number replaces it."""
     return make(
         "visualization_msgs/msg/Marker",
         header=header(0.0, frame),
@@ -85,7 +85,7 @@ def marker(
         action=0,
         pose=pose_at(position),
         scale=vector(*scale),
-        color=colour,
+        color=color,
         lifetime=make("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
         frame_locked=True,
         points=[point_at(corner) for corner in points],
@@ -106,14 +106,14 @@ def marker(
 
 
 def discs(view: RunView) -> RosMessage:
-    """Circles that move with the vehicles, the vehicles themselves, and the edge of the ground."""
+    """Return markers for the radii around the vehicles, the vehicles, and the edge of the area."""
     scene = view.scene
     found = [
         marker(
             frame=base_link(ring.around),
             name=f"{ring.around}/{ring.symbol}",
             shape=_LINE_STRIP,
-            colour=_colour(ring.color, 0.9),
+            color=_color(ring.color, 0.9),
             scale=(0.05, 0.0, 0.0),
             points=_circle(ring.radius),
         )
@@ -124,7 +124,7 @@ def discs(view: RunView) -> RosMessage:
             frame=base_link(vehicle.name),
             name=f"{vehicle.name}/body",
             shape=_CYLINDER,
-            colour=_colour(vehicle.color, 1.0),
+            color=_color(vehicle.color, 1.0),
             scale=(0.4, 0.4, 0.15),
         )
         for vehicle in scene.vehicles
@@ -141,7 +141,7 @@ def discs(view: RunView) -> RosMessage:
             frame=MAP,
             name="area",
             shape=_LINE_STRIP,
-            colour=_colour(LIMIT, 0.5),
+            color=_color(LIMIT, 0.5),
             scale=(0.05, 0.0, 0.0),
             points=corners,
         )
@@ -154,12 +154,12 @@ def _circle(radius: float) -> list[Vector]:
     return [(radius * math.cos(angle), radius * math.sin(angle)) for angle in angles]
 
 
-def hazards(view: RunView, told: GroundMap) -> RosMessage:
-    """The hazards as they truly lie on the ground; faint those that no UGV knows of."""
+def hazards(view: RunView, source: GroundMap) -> RosMessage:
+    """Return markers for the true hazards; hazards unknown to the UGVs are faint."""
     found = []
-    for number, (outline, state) in enumerate(zip(view.hazards, told.states, strict=False)):
-        colour = _colour(LIMIT if state > 1 else HAZARDS[outline.kind], 1.0 if state else FAINT)
-        mark = partial(marker, frame=MAP, name=outline.kind, number=number, colour=colour)
+    for number, (outline, state) in enumerate(zip(view.hazards, source.states, strict=False)):
+        color = _color(LIMIT if state > 1 else HAZARDS[outline.kind], 1.0 if state else FAINT)
+        mark = partial(marker, frame=MAP, name=outline.kind, number=number, color=color)
         if outline.polygon:
             first, *rest = outline.polygon
             corners = [one for pair in pairwise(rest) for one in (first, *pair)]

@@ -1,17 +1,17 @@
-"""Roles of ROS 2 parties, the entry point `outrider.roles`: what the router lets through beside the key table.
+"""Roles of ROS 2 parties, entry point `outrider.roles`: permissions on the router beyond the key table.
 
-ROS 2 nodes with rmw_zenoh use keys of their own, `<domain>/<topic>/<type>/<hash>`, and liveliness tokens under
-`@ros2_lv`, which no `**` matches: each is named here. None of them can be a key of a run's own.
+ROS 2 nodes with rmw_zenoh use the keys `<domain>/<topic>/<type>/<hash>` and liveliness tokens under `@ros2_lv`. No `**`
+matches these tokens, so each is named here. No such key can be one of a run's own keys.
 
 | party | reads | writes |
 |---|---|---|
-| `ros2`, the bridge; `operator`'s bridge | `cmd_vel`, calls, if an operator's | all but inputs and vehicles' own |
-| `ros2_observer`, nodes that look on | all topics but vehicles' own | nothing |
-| `ros2_operator`, nodes that drive | the same | `cmd_vel`; calls of services |
-| a vehicle: its bridge and its node | `<vehicle>/pilot/...` of its own | the same |
+| bridge (`ros2`, `operator`) | `cmd_vel`, service calls (`operator` only) | all but inputs and pilot topics |
+| `ros2_observer`: observing nodes | all topics but pilot topics | nothing |
+| `ros2_operator`: driving nodes | all topics but pilot topics | `cmd_vel`, service calls |
+| a vehicle: its bridge and its node | its own `<vehicle>/pilot/...` | its own `<vehicle>/pilot/...` |
 
-A vehicle sees the tokens of its own topics alone. Those carry names that anybody may choose: whoever declares one of a
-vehicle's topics could tell that vehicle something by it, so each vehicle's are its own to declare too.
+A vehicle sees only the tokens of its own topics, and only the vehicle may declare them: tokens contain freely chosen
+names, through which another party could send information to the vehicle.
 """
 
 from enum import StrEnum
@@ -21,48 +21,48 @@ from bus.keys import Grant, Party, Role
 from bus.roles import Roles
 
 PILOT = "pilot"
-"""Second part of the topics that are a vehicle's own, such as `/uav_0/pilot/odom`: nobody else reads or writes them."""
+"""Second part of a vehicle's private topics, such as `/uav_0/pilot/odom`."""
 CMD_VEL = "cmd_vel"
 SERVICES = ("pause", "step", "reset")
-"""The services that an operator's nodes may call."""
+"""Services that an operator's nodes may call."""
 
 BRIDGE = "ros2"
-"""Role of the bridge that shows ROS 2 a run."""
+"""Role of the bridge that publishes a run to ROS 2."""
 NODE_OBSERVER, NODE_OPERATOR = "ros2_observer", "ros2_operator"
-"""Roles of ROS 2 nodes that look on, and of those that drive."""
+"""Roles of observing and of driving ROS 2 nodes."""
 
 NO_HASH = "TypeHashNotSupported"
-"""In the place of a type's hash, where a distribution of ROS 2 knows none."""
+"""Placeholder for the type's hash in ROS 2 distributions without type hashes."""
 _TYPE = "*/RIHS01_$*"
-"""Type and hash: no key of ours ends with such a hash."""
+"""Type and hash at the end of a ROS 2 key; no key of a run ends with such a hash."""
 _HASHES = (_TYPE, f"*/{NO_HASH}")
 TOPICS = "*/*/**/RIHS01_$*"
-"""All data of ROS 2, in every domain."""
+"""All ROS 2 data, in every domain."""
 _LATE = "@adv/**"
-"""After a topic's key: how transient-local topics serve those who come late."""
-_ANY_OWN = tuple(f"*/**/{PILOT}/*/{hashed}" for hashed in _HASHES)
+"""Suffix of a topic's key through which transient-local topics serve late subscribers."""
+_PILOT_KEYS = tuple(f"*/**/{PILOT}/*/{hashed}" for hashed in _HASHES)
 _GRAPH = "@ros2_lv/**"
 _ENDPOINT = "@ros2_lv/*/*/*/*/*/*/*/*/{name}/*/*/*"
-_OTHER_WAY = {"ingress": "egress", "egress": "ingress"}
+_OPPOSITE = {"ingress": "egress", "egress": "ingress"}
 
 
 class Operation(StrEnum):
-    """The operation by which a bridge's input is written."""
+    """Operation that writes an input of a bridge."""
 
     PUT = "put"
     CALL = "call"
 
 
 class Input(NamedTuple):
-    """One row: an input of a bridge."""
+    """Input of a bridge."""
 
     operation: Operation
     keys: tuple[str, ...]
-    """Its keys in every domain and namespace, with whatever hash."""
+    """Keys in every domain and namespace, with any hash."""
     writer: str
-    """The only role that may write it."""
+    """Only role that may write the input."""
     reader: str
-    """The role of the bridge that acts on it."""
+    """Role of the bridge that reads the input."""
 
 
 VELOCITIES = Input(
@@ -71,16 +71,16 @@ VELOCITIES = Input(
     NODE_OPERATOR,
     Role.OPERATOR.value,
 )
-"""Velocities for UGVs."""
+"""Velocity commands for UGVs."""
 CALLS = Input(
     Operation.CALL,
     tuple(f"*/**/{service}/{hashed}" for service in SERVICES for hashed in _HASHES),
     NODE_OPERATOR,
     Role.OPERATOR.value,
 )
-"""Calls of services."""
+"""Service calls."""
 INPUTS = (VELOCITIES, CALLS)
-"""Inputs of a bridge that shows a run; a bridge that flies a vehicle has the inputs of that vehicle alone."""
+"""Inputs of the bridge of a run; the bridge of a vehicle has only that vehicle's inputs."""
 
 
 def _late(*keys: str) -> tuple[str, ...]:
@@ -91,7 +91,7 @@ def _publishes(*keys: str) -> list[Grant]:
     return [
         Grant("put", "ingress", keys),
         Grant("declare_subscriber", "egress", keys),
-        # The newest messages of what stays as it is, for those who come late.
+        # The newest messages of transient-local topics, for late subscribers.
         Grant("liveliness_token", "ingress", _late(*keys)),
         Grant("declare_queryable", "ingress", _late(*keys)),
         Grant("query", "egress", _late(*keys)),
@@ -102,15 +102,15 @@ def _publishes(*keys: str) -> list[Grant]:
 
 
 def _other_end(grants: list[Grant]) -> list[Grant]:
-    """The rules of those with whom these let a party speak: what comes in from the one goes out to the other."""
-    return [grant._replace(flow=_OTHER_WAY[grant.flow]) for grant in grants]
+    """Return the matching grants of the peer, with ingress and egress exchanged."""
+    return [grant._replace(flow=_OPPOSITE[grant.flow]) for grant in grants]
 
 
 def _subscribes(*keys: str) -> list[Grant]:
     return _other_end(_publishes(*keys))
 
 
-_LOOKS = [
+_DISCOVERS = [
     Grant("declare_liveliness_subscriber", "ingress", (_GRAPH,)),
     Grant("liveliness_query", "ingress", (_GRAPH,)),
 ]
@@ -118,22 +118,22 @@ _DECLARES = [
     Grant("liveliness_token", "ingress", (_GRAPH,)),
     Grant("liveliness_token", "egress", (_GRAPH,)),
 ]
-_NOT_OWN = [
-    Grant(message, flow, _ANY_OWN, "deny")
+_DENY_PILOT = [
+    Grant(message, flow, _PILOT_KEYS, "deny")
     for message in ("put", "declare_subscriber", "reply")
-    for flow in _OTHER_WAY
+    for flow in _OPPOSITE
 ] + [
     Grant("liveliness_token", "ingress", (_ENDPOINT.format(name=f"$*%{PILOT}%$*"),), "deny"),
-    Grant("query", "ingress", _late(*_ANY_OWN), "deny"),
-    Grant("query", "egress", _late(*_ANY_OWN), "deny"),
-    Grant("declare_queryable", "ingress", _late(*_ANY_OWN), "deny"),
-    Grant("liveliness_token", "ingress", _late(*_ANY_OWN), "deny"),
-    Grant("liveliness_token", "egress", _late(*_ANY_OWN), "deny"),
+    Grant("query", "ingress", _late(*_PILOT_KEYS), "deny"),
+    Grant("query", "egress", _late(*_PILOT_KEYS), "deny"),
+    Grant("declare_queryable", "ingress", _late(*_PILOT_KEYS), "deny"),
+    Grant("liveliness_token", "ingress", _late(*_PILOT_KEYS), "deny"),
+    Grant("liveliness_token", "egress", _late(*_PILOT_KEYS), "deny"),
 ]
 
 
 def _reads(row: Input) -> list[Grant]:
-    """The grants of the reader of a bridge's input; those of its writer are the other end."""
+    """Return the grants of the reader of an input; the writer gets the opposite grants."""
     if row.operation is Operation.PUT:
         return [
             Grant("declare_subscriber", "ingress", row.keys),
@@ -147,7 +147,7 @@ def _reads(row: Input) -> list[Grant]:
 
 
 def _never_writes(row: Input) -> list[Grant]:
-    """The denials for a party that is not a bridge's input's writer, although it may publish all other topics."""
+    """Return the denials for a party that may publish all other topics, but not write this input."""
     late = _late(*row.keys)
     return [
         Grant("put", "ingress", row.keys, "deny"),
@@ -164,7 +164,7 @@ def _of_vehicle(name: str) -> list[Grant]:
     return [
         *_publishes(own, unhashed),
         *_subscribes(own, unhashed),
-        *_LOOKS,
+        *_DISCOVERS,
         Grant("liveliness_token", "ingress", (tokens, node)),
         Grant("liveliness_token", "egress", (tokens,)),
     ]
@@ -181,11 +181,11 @@ def _of_staff(role: str) -> list[Grant]:
     for row in INPUTS:
         found += _reads(row) if role == row.reader else []
         found += _other_end(_reads(row)) if role == row.writer else _never_writes(row)
-    return [*found, *_LOOKS, *_DECLARES, *_NOT_OWN]
+    return [*found, *_DISCOVERS, *_DECLARES, *_DENY_PILOT]
 
 
 def _grants(party: Party) -> list[Grant]:
-    """Return all that a party may do on the keys of ROS 2, in a run whose credentials have a bridge."""
+    """Return the grants of a party on ROS 2 keys, in a run whose credentials include a bridge."""
     if party.role in (Role.UAV, Role.UGV):
         return _of_vehicle(party.name)
     return _of_staff(party.extension or party.role.value)

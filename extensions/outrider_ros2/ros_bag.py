@@ -1,6 +1,6 @@
-"""A flight as a rosbag2 folder: what ROS 2 nodes are told, at every tick, and beside it the recording itself.
+"""Export of a run as a rosbag2 folder: the ROS 2 topics at every tick, and the recording itself.
 
-The folder gets its name when all of it is written; until then it stands in a hidden one beside it.
+The bag is written in a hidden folder beside its target and renamed when it is complete.
 """
 
 import errno
@@ -44,31 +44,31 @@ from sim.scenario.types import Scenario
 from sim.scene.known import geometry_of
 
 RECORDS_QOS = Qos(depth=1000)
-"""Of the records: a bag that is played and recorded again is to lose none."""
+"""Quality of service of the records; deep enough to lose none when a bag is played and recorded again."""
 _VERSION: Literal[9] = 9
-"""Of the folder's layout: that of Jazzy and later."""
+"""Version of the bag's metadata, used from Jazzy on."""
 _SLICE = 0.05
-"""Wall time for which waiting messages are written at once [s]."""
+"""Maximum wall time of one write of queued messages [s]."""
 _GAP = 1.0
-"""Simulated time between the end of a flight and the next one [s], at least."""
+"""Minimum time between the end of a run and the start of the next one in a bag [s]."""
 
 
 def check_target(folder: Path) -> None:
-    """Refuse a bag that cannot be written.
+    """Check that a bag can be written.
 
     Raises:
-        ScenarioError: If the folder is there already, or the extra is missing.
-        OSError: If the folder that it is to stand in is not there.
+        ScenarioError: If the folder exists already, or the extra is missing.
+        OSError: If the parent folder does not exist.
     """
     require_extra()
     if folder.exists() or folder.is_symlink():
-        raise ScenarioError(f"{folder}: is there already; allowed: the name of a new folder")
+        raise ScenarioError(f"{folder}: exists already; allowed: the name of a new folder")
     if not folder.absolute().parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(folder.parent))
 
 
 def _offered(qos: Qos) -> Any:  # noqa: ANN401 - rosbags' type
-    """A quality of service as a bag has it: what we leave open never runs out."""
+    """Return a quality of service for a bag; unspecified durations are infinite."""
     from rosbags import interfaces  # noqa: PLC0415 - an extra
 
     durability, reliability = interfaces.QosDurability, interfaces.QosReliability
@@ -87,16 +87,16 @@ def _offered(qos: Qos) -> Any:  # noqa: ANN401 - rosbags' type
 
 
 class RosBag:
-    """A rosbag2 folder that takes a recording's messages in their order, from one thread.
+    """Writer of a rosbag2 folder from the messages of a recording, in order and from one thread.
 
-    As a context it is closed at the end, and leaves nothing behind where something broke.
+    Used as a context manager, it closes the bag at the end, or removes it after an error.
 
     Args:
-        folder: The folder; it must not be there.
+        folder: Folder to create.
 
     Raises:
-        ScenarioError: If it is there, or the extra is missing.
-        OSError: If it cannot be written.
+        ScenarioError: If the folder exists already, or the extra is missing.
+        OSError: If the folder cannot be written.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -123,12 +123,12 @@ class RosBag:
         self._view: RunView | None = None
         self._rows: dict[type[Message], dict[str, TopicRow]] = {}
         self._due: dict[str, int] = {}
-        self._waiting: deque[tuple[Topic, Message, int]] = deque()
+        self._queue: deque[tuple[Topic, Message, int]] = deque()
         self._base = self._last = 0
         self._number, self._newest_record = 0, -1
         self._private = False
         self.topics: dict[str, int] = {}
-        """Messages written, by topic."""
+        """Number of messages written, by topic."""
 
     def __enter__(self) -> "RosBag":
         return self
@@ -141,11 +141,11 @@ class RosBag:
 
     @property
     def next_start(self) -> float:
-        """The place of another flight on the bag's clock [s]."""
+        """Start of another run on the bag's clock [s]."""
         return self._last / 1e9 + _GAP
 
     def begin(self, head: Head, scenario: Scenario | None) -> None:
-        """A flight begins; without its scenario all waits for a status that tells the geometry."""
+        """Start a run; without its scenario, messages are queued until a status contains the geometry."""
         self._private = self._private or bool(head.secret)
         if scenario is not None:
             self._geometry = geometry_of(scenario)
@@ -153,16 +153,16 @@ class RosBag:
         self.take(SCENARIO, head, 0.0)
 
     def flush_if_due(self) -> None:
-        """Write some of what waits: a run that is faster than this is not held up, and loses nothing."""
+        """Write queued messages for a limited time: a faster run is not delayed, and no message is lost."""
         self.write_waiting(_SLICE)
 
     def take(self, topic: Topic, message: Message, seconds: float) -> None:
-        """Take a message of a recording; it waits to be written.
+        """Queue a message of a recording.
 
         Args:
-            topic: The recording's channel.
-            message: Of the flight that has begun.
-            seconds: When, in simulated time.
+            topic: Channel of the recording.
+            message: Message of the current run.
+            seconds: Simulated time [s].
 
         Raises:
             ScenarioError: If the time is out of range.
@@ -172,34 +172,34 @@ class RosBag:
         time_ns = self._base + round(seconds * 1e9)
         if not 0 <= time_ns <= LATEST:
             raise ScenarioError(
-                f"{topic.name}: time = {time_ns / 1e9:g} s after the start of its flight: "
-                f"out of range; allowed from 0 up to {LATEST / 1e9:g}"
+                f"{topic.name}: time = {time_ns / 1e9:g} s after the start of its run: "
+                f"out of range; allowed: 0 to {LATEST / 1e9:g}"
             )
         self._last = max(self._last, time_ns)
-        self._waiting.append((topic, message, time_ns))
+        self._queue.append((topic, message, time_ns))
 
     def write_waiting(self, patience: float = math.inf) -> None:
-        """Write what waits, once the geometry is known.
+        """Write the queued messages, once the geometry is known.
 
         Args:
-            patience: For so long [s].
+            patience: Maximum wall time [s].
 
         Raises:
-            OSError: If it cannot be written; the bag is gone then.
+            OSError: If the bag cannot be written; it is then removed.
         """
         end = time.monotonic() + patience
         try:
-            while self._waiting and self._geometry is not None and time.monotonic() < end:
-                topic, message, time_ns = self._waiting.popleft()
+            while self._queue and self._geometry is not None and time.monotonic() < end:
+                topic, message, time_ns = self._queue.popleft()
                 if isinstance(message, Head):
-                    self._look_at(view_of(message.name, self._geometry), time_ns)
+                    self._declare_topics(view_of(message.name, self._geometry), time_ns)
                 self._write(topic, message, time_ns)
         except OSError:
             self.abort()
             raise
 
-    def _look_at(self, view: RunView, time_ns: int) -> None:
-        """Declare the topics of a flight, and write what stays as it is."""
+    def _declare_topics(self, view: RunView, time_ns: int) -> None:
+        """Declare the topics of a run, and write the static messages."""
         self._view, self._rows, self._due = view, {}, {}
         for row in TOPICS:
             for _, name in row.names(view.scene):
@@ -227,7 +227,7 @@ class RosBag:
         self.topics[name] += 1
 
     def _write(self, topic: Topic, message: Message, time_ns: int) -> None:
-        self._keep(topic, message, time_ns)
+        self._write_record(topic, message, time_ns)
         rows = self._rows.get(type(message), {})
         wanted = {name for name in rows if time_ns >= self._due.get(name, 0)}
         for name in wanted:
@@ -237,8 +237,8 @@ class RosBag:
             for name, payload in messages_of(self._view, message, wanted=wanted):
                 self._put(name, time_ns, payload)
 
-    def _keep(self, topic: Topic, message: Message, time_ns: int) -> None:
-        """Keep a message as it is: no two of them at one time, since a bag is read in the order of times."""
+    def _write_record(self, topic: Topic, message: Message, time_ns: int) -> None:
+        """Write a record with a unique time, since bags are read in the order of times."""
         record = BagRecord(
             number=self._number,
             topic=topic.name,
@@ -251,17 +251,17 @@ class RosBag:
         self._number += 1
 
     def close(self) -> None:
-        """End the bag and give it its name; one that is gone already stays so.
+        """Complete the bag and rename it to its target; do nothing after an abort.
 
         Raises:
-            ScenarioError: If there is nothing to be told to ROS 2, or somebody has taken the name.
-            OSError: If it does not take all there is.
+            ScenarioError: If no message was written, or the target exists by now.
+            OSError: If the bag cannot be written.
         """
         if not self._open:
             return
         self.write_waiting()
         if self._view is None:
-            why = "no status has told the geometry" if self._waiting else "no tick came"
+            why = "no status contained the geometry" if self._queue else "no tick was received"
             self.abort()
             raise ScenarioError(f"{self.folder}: not written: {why}")
         try:
@@ -276,12 +276,12 @@ class RosBag:
                 file.chmod(0o600)
             made.chmod(0o700)
         if self.folder.exists():
-            raise ScenarioError(f"{self.folder}: is there by now; the bag is in {made}")
+            raise ScenarioError(f"{self.folder}: exists by now; the bag is in {made}")
         made.rename(self.folder)
         self._hidden.rmdir()
 
     def abort(self) -> None:
-        """Leave nothing behind but a bag that is whole."""
+        """Remove the bag unless it is complete."""
         if self._open:
             self._open = False
             self._writer.abort()
@@ -295,22 +295,22 @@ _DECODERS = {
 
 
 def copy_flight(recording: Recording, bag: RosBag) -> Iterator[float]:
-    """Write a flight of a recording into a bag, from 0 s on the bag's clock.
+    """Write a recorded run to a bag, starting at 0 s on the bag's clock.
 
     Args:
-        recording: The flight.
-        bag: Takes it.
+        recording: Run to copy.
+        bag: Bag to write.
 
     Yields:
-        Simulated time of each message that is written [s].
+        Simulated time of each written message [s].
 
     Raises:
-        ScenarioError: If the file cannot be read.
+        ScenarioError: If the recording cannot be read.
         OSError: If the bag cannot be written.
     """
     start, number = round(recording.head.start * 1e9), -1
     scenario = recording.scenario if recording.head.scenario is not None else None
-    words = msgspec.json.Decoder(OperatorCommand)
+    operator_decoder = msgspec.json.Decoder(OperatorCommand)
     for entry in entries(recording.path):
         number += entry.topic == SCENARIO.name
         if number != recording.number:
@@ -320,11 +320,11 @@ def copy_flight(recording: Recording, bag: RosBag) -> Iterator[float]:
         if entry.topic == SCENARIO.name:
             bag.begin(msgspec.structs.replace(recording.head, start=0.0), scenario)
         elif ugv is not None:
-            bag.take(operator_topic(ugv), decoded(recording.path, entry, words), seconds)
+            bag.take(operator_topic(ugv), decoded(recording.path, entry, operator_decoder), seconds)
         elif entry.topic in _DECODERS:
             topic, decoder = _DECODERS[entry.topic]
             bag.take(topic, decoded(recording.path, entry, decoder), seconds)
         else:
-            continue  # what viewers are shown
+            continue  # a channel for viewers
         bag.write_waiting()
         yield seconds

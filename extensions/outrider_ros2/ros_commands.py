@@ -1,6 +1,6 @@
-"""The bridge as an operator: velocities and calls of services from ROS 2, checked, and passed on or counted by cause.
+"""Operator commands from ROS 2: velocities and service calls, forwarded after a check or counted as rejected.
 
-A UGV has no heading: `linear.x` is its velocity east and `linear.y` north, in `map` as in its base_link.
+A UGV has no heading: `linear.x` is its velocity east and `linear.y` north, both in `map` and in its base_link.
 """
 
 import math
@@ -37,68 +37,68 @@ _SERVICES = {
     service: "std_srvs/srv/SetBool" if service == "pause" else "std_srvs/srv/Trigger"
     for service in SERVICES
 }
-"""Types of the services."""
-_RELEASE = 1.0
-"""Silence after which a wheel is free for another node, and is taken anew [s]."""
-_SLACK = 1e-9
-"""Of a speed, as a share: what rounding alone may add."""
+"""Type of each service."""
+_CONTROL_TIMEOUT = 1.0
+"""Time without a message after which a node loses control of a UGV [s]."""
+_SPEED_TOLERANCE = 1e-9
+"""Relative tolerance of a speed limit, for rounding."""
 _DRIVER = "ROS 2"
 
 
-class Wish(NamedTuple):
-    """A velocity that a node wants a UGV to drive."""
+class VelocityCommand(NamedTuple):
+    """Velocity commanded to a UGV."""
 
     vehicle: str
     velocity: Vector
-    """[m/s]"""
+    """Velocity in `map` [m/s]."""
 
 
-def wish_of(
+def velocity_command(
     key: str, payload: bytes, *, domain: int, namespace: str, ugvs: Mapping[str, Limits]
-) -> Wish:
-    """The velocity that a message on a `cmd_vel` asks for.
+) -> VelocityCommand:
+    """Return the velocity command in a message on `cmd_vel`.
 
     Args:
-        key: Of the message.
-        payload: As it came.
-        domain: ROS 2's domain id here.
-        namespace: Before the names of our topics; empty: none.
-        ugvs: The run's UGVs and their bounds.
+        key: Key of the message.
+        payload: Payload of the message.
+        domain: ROS 2 domain id of the bridge.
+        namespace: Prefix of the bridge's topic names; empty: none.
+        ugvs: UGVs of the run and their bounds.
 
     Raises:
-        Refused: If it is not passed on, whatever the reason.
+        Refused: If the message is invalid, with the cause.
     """
     name, interface, hashed = _parts_of(key, domain)
     vehicle = name[-2] if len(name) > 1 else ""
     if name[:-2] != _space(namespace) or vehicle not in ugvs:
-        raise Refused("no such UGV", f"{'/'.join(name[:-1])}; there are {', '.join(ugvs)}")
-    told = decode_checked(interface, hashed, payload, *TWISTS)
-    return Wish(vehicle, _velocity(told, vehicle, ugvs[vehicle]))
+        raise Refused("no such UGV", f"{'/'.join(name[:-1])}; available: {', '.join(ugvs)}")
+    message = decode_checked(interface, hashed, payload, *TWISTS)
+    return VelocityCommand(vehicle, _velocity(message, vehicle, ugvs[vehicle]))
 
 
 def service_of(key: str, *, domain: int, namespace: str) -> str:
-    """Return the name of the service that a call on a key asks for.
+    """Return the name of the called service.
 
     Args:
-        key: Of the call.
-        domain: ROS 2's domain id here.
-        namespace: Before the names of our services; empty: none.
+        key: Key of the call.
+        domain: ROS 2 domain id of the bridge.
+        namespace: Prefix of the bridge's service names; empty: none.
 
     Raises:
-        Refused: If it is not for a service here, or has another type or hash.
+        Refused: If the bridge has no such service, or its type or hash differs.
     """
     (*space, service), interface, hashed = _parts_of(key, domain)
     if space != _space(namespace) or service not in _SERVICES:
-        raise Refused("no such service", f"{service}; there are {', '.join(_SERVICES)}")
+        raise Refused("no such service", f"{service}; available: {', '.join(_SERVICES)}")
     check_type(interface, hashed, _SERVICES[service])
     return service
 
 
 def _parts_of(key: str, domain: int) -> tuple[list[str], str, str]:
     """Return the parts of the name in a key, its type and its hash."""
-    there, *name, interface, hashed = key.split("/")
-    if there != str(domain):
-        raise Refused("another domain", f"{there}; this is {domain}")
+    found, *name, interface, hashed = key.split("/")
+    if found != str(domain):
+        raise Refused("another domain", f"{found}; allowed: {domain}")
     return name, interface, hashed
 
 
@@ -106,35 +106,33 @@ def _space(namespace: str) -> list[str]:
     return [part for part in namespace.split("/") if part]
 
 
-def _velocity(told: RosMessage, vehicle: str, limits: Limits) -> Vector:
-    stamped = hasattr(told, "header")
-    twist = told.twist if stamped else told
-    if stamped and told.header.frame_id not in ("", MAP, base_link(vehicle)):
+def _velocity(message: RosMessage, vehicle: str, limits: Limits) -> Vector:
+    stamped = hasattr(message, "header")
+    twist = message.twist if stamped else message
+    if stamped and message.header.frame_id not in ("", MAP, base_link(vehicle)):
         raise Refused(
-            "another frame", f"{told.header.frame_id}; allowed are {MAP} and {base_link(vehicle)}"
+            "another frame", f"{message.header.frame_id}; allowed: {MAP}, {base_link(vehicle)}"
         )
     moves, turns = twist.linear, twist.angular
     values = (moves.x, moves.y, moves.z, turns.x, turns.y, turns.z)
     if not all(map(math.isfinite, values)):
-        raise Refused("no finite number", f"{values}")
+        raise Refused("not finite", f"{values}")
     if any(values[2:]):
-        raise Refused(
-            "climbs or turns", f"{values}; a UGV has no heading: x is east, y north, the rest 0"
-        )
+        raise Refused("climbs or turns", f"{values}; allowed: x (east) and y (north), all others 0")
     speed, most = math.hypot(moves.x, moves.y), limits.max_speed
-    if most is not None and speed > most * (1.0 + _SLACK):
-        raise Refused("beyond the limits", f"{speed:.6g} m/s; allowed up to {most:.6g}")
+    if most is not None and speed > most * (1.0 + _SPEED_TOLERANCE):
+        raise Refused("beyond the limits", f"{speed:.6g} m/s; allowed: up to {most:.6g}")
     return float(moves.x), float(moves.y)
 
 
 class RosCommands:
-    """Takes velocities and calls from ROS 2's nodes.
+    """Receiver of velocity commands and service calls from ROS 2 nodes.
 
     Args:
-        node: The bridge's.
-        client: Says what is wanted.
-        namespace: Before the names of all topics; empty: none.
-        refusals: Where what is refused is counted.
+        node: Node of the bridge.
+        client: Client that sends the commands to the run.
+        namespace: Prefix of all topic names; empty: none.
+        refusals: Counter of rejected messages.
     """
 
     def __init__(
@@ -143,14 +141,14 @@ class RosCommands:
         self._node, self._client, self._namespace = node, client, namespace
         self._refusals = refusals
         self._helm = Helm(client.control, client.drive)
-        # For each UGV the node that drives it, and when that was received last [s].
-        self._wheels: dict[str, tuple[bytes, float]] = {}
+        # Node that controls each UGV, and the time of its last message [s].
+        self._controllers: dict[str, tuple[bytes, float]] = {}
         self._lock = threading.Lock()
         self._status: Status | None = None
         self._shown: set[str] = set()
-        self.taken = 0
-        """Commands and calls that were passed on."""
-        # Of every domain, vehicle and type: what is not for us is counted and not decoded.
+        self.accepted = 0
+        """Number of forwarded commands and calls."""
+        # For every domain, vehicle and type: messages to others are counted without decoding.
         for expression in VELOCITIES.keys:
             node.receive(expression, self._receive)
         for expression in CALLS.keys:
@@ -159,7 +157,7 @@ class RosCommands:
             node.show_service(wire_topic(interface, f"/{service}", namespace))
 
     def follow(self, status: Status | None) -> None:
-        """Take in what the simulator tells: whose wheels there are."""
+        """Update the drivers from a status, and announce the topics of new UGVs."""
         self._status = status
         for vehicle in self._ugvs():
             if vehicle not in self._shown:
@@ -177,33 +175,35 @@ class RosCommands:
     def _receive(self, key: str, payload: bytes, sender: bytes) -> None:
         with self._lock:
             try:
-                wish = wish_of(
+                command = velocity_command(
                     key,
                     payload,
                     domain=self._node.domain,
                     namespace=self._namespace,
                     ugvs=self._ugvs(),
                 )
-                self._pass_on(wish, sender)
+                self._forward(command, sender)
             except Refused as refused:
                 self._refusals.add(refused)
 
-    def _pass_on(self, wish: Wish, sender: bytes) -> None:
-        node, received = self._wheels.get(wish.vehicle, (b"", -math.inf))
+    def _forward(self, command: VelocityCommand, sender: bytes) -> None:
+        node, received = self._controllers.get(command.vehicle, (b"", -math.inf))
         now = time.monotonic()
-        begins = now - received > _RELEASE
-        if not begins and sender != node:
-            raise Refused("another node is at the wheel", wish.vehicle)
-        self._wheels[wish.vehicle] = sender, now
-        driver = self._status.drivers.get(wish.vehicle, "") if self._status is not None else ""
-        if begins and (driver != TELEOP or self._helm.displaced(self._status, wish.vehicle)):
-            self._helm.take(wish.vehicle, driver)
-        if not self._helm.steer(wish.vehicle, _DRIVER, wish.velocity):
-            raise Refused("the bus takes no more", wish.vehicle)
-        self.taken += 1
+        takes_control = now - received > _CONTROL_TIMEOUT
+        if not takes_control and sender != node:
+            raise Refused("another node has control", command.vehicle)
+        self._controllers[command.vehicle] = sender, now
+        driver = self._status.drivers.get(command.vehicle, "") if self._status is not None else ""
+        if takes_control and (
+            driver != TELEOP or self._helm.displaced(self._status, command.vehicle)
+        ):
+            self._helm.take(command.vehicle, driver)
+        if not self._helm.steer(command.vehicle, _DRIVER, command.velocity):
+            raise Refused("send queue full", command.vehicle)
+        self.accepted += 1
 
     def _serve(self, key: str, raw: bytes) -> bytes | None:
-        """Answer a call; None: it is not for a service here, or without the hash of its type."""
+        """Return the response to a call; None if the service is unknown or the hash of its type is missing."""
         try:
             service = service_of(key, domain=self._node.domain, namespace=self._namespace)
         except Refused as refused:
@@ -220,14 +220,14 @@ class RosCommands:
             return encode(answer, make(answer, success=False, message=refused.what[:300]))
         resumes = service == "pause" and not request.data
         action = Action.RESUME if resumes else Action(service)
-        said = self._client.control(Control(action=action))
+        sent = self._client.control(Control(action=action))
         with self._lock:
-            self.taken += said
-        told = f"{action.value} at the next tick" if said else "the bus takes no more messages"
-        return encode(answer, make(answer, success=said, message=told))
+            self.accepted += sent
+        text = f"{action.value} at the next tick" if sent else "send queue full"
+        return encode(answer, make(answer, success=sent, message=text))
 
     def hand_back(self) -> None:
-        """Let the drivers from before drive on."""
+        """Return control of all UGVs to their previous drivers."""
         if self._status is not None and not self._status.over:
             for vehicle in self._helm.waiting(self._status):
                 self._helm.hand_back(vehicle)

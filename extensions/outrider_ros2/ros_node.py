@@ -1,6 +1,6 @@
-"""One ROS 2 node on a session of the bus: its publishers, subscriptions and services, each with its token in the graph.
+"""ROS 2 node on a session of the bus: publishers, subscriptions and services, with their tokens in the ROS graph.
 
-Beside the bus' own session the only place that speaks Zenoh.
+Only this module and the session of the bus use Zenoh.
 """
 
 import itertools
@@ -18,25 +18,25 @@ from bus.session import Session
 from outrider_ros2.wire import RELIABLE, Attachment, Endpoint, Node, Qos, WireTopic, gid_of
 
 _LOG = logging.getLogger("outrider.ros2")
-log_refused = partial(_LOG.warning, "refused %s (%d so far)")
+log_refused = partial(_LOG.warning, "rejected %s (%d so far)")
 _REMOTE = zenoh.Locality.REMOTE
 
 Receive = Callable[[str, bytes, bytes], None]
-"""Takes a message: its key, its payload and the identity of who sent it; called by a thread of Zenoh's, keep it short.
-"""
+"""Callback for a message: key, payload and identity of the sender. It runs in a Zenoh thread: return quickly."""
 Serve = Callable[[str, bytes], bytes | None]
-"""Answers the request on a key, both as CDR, or not at all: None. Called by a thread of Zenoh's."""
+"""Callback for a request on a key, as CDR; returns the response as CDR, or None. It runs in a Zenoh thread."""
 
 
 class RosPublisher:
-    """Publishes one topic."""
+    """Publisher of one topic."""
 
     def __init__(self, session: zenoh.Session, key: str, qos: Qos, token: str) -> None:
         self.wanted = False
-        """True if anybody reads it now."""
-        self.found = 0
-        """Number of times that somebody has begun to read it where nobody had."""
+        """True if the topic has a subscriber."""
+        self.matches = 0
+        """Number of times that the topic gained its first subscriber."""
         self.sent = 0
+        """Number of messages sent."""
         self._gid = gid_of(token)
         reliability = zenoh.Reliability.RELIABLE if qos.reliable else zenoh.Reliability.BEST_EFFORT
         plain = session.declare_publisher(
@@ -45,8 +45,10 @@ class RosPublisher:
             congestion_control=zenoh.CongestionControl.DROP,
             allowed_destination=_REMOTE,
         )
-        self._listener = plain.declare_matching_listener(self._see)  # goes with its publisher
-        self._kept: list[Any] = [plain]
+        self._listener = plain.declare_matching_listener(
+            self._update_matching
+        )  # undeclared with its publisher
+        self._declared: list[Any] = [plain]
         self._put: Callable[..., Any] = plain.put
         if qos.transient_local:
             late = zenoh.ext.declare_advanced_publisher(
@@ -60,42 +62,42 @@ class RosPublisher:
                 ),
                 publisher_detection=True,
             )
-            self._kept.insert(0, late)
+            self._declared.insert(0, late)
             self._put = late.put
-        self._kept.insert(0, session.liveliness().declare_token(token))
+        self._declared.insert(0, session.liveliness().declare_token(token))
 
-    def _see(self, status: Any) -> None:  # noqa: ANN401 - Zenoh's stub says bool, its library gives a MatchingStatus
+    def _update_matching(self, status: Any) -> None:  # noqa: ANN401 - MatchingStatus, but a bool in Zenoh's stub
         wanted = bool(status.matching)
-        self.found += wanted and not self.wanted
+        self.matches += wanted and not self.wanted
         self.wanted = wanted
 
     def send(self, payload: bytes) -> None:
         """Send a message.
 
         Raises:
-            BusError: If the session is gone.
+            BusError: If the session is closed.
         """
-        beside = Attachment(sequence=self.sent + 1, time=time.time_ns(), gid=self._gid)
+        attachment = Attachment(sequence=self.sent + 1, time=time.time_ns(), gid=self._gid)
         try:
-            self._put(payload, attachment=beside.encoded())
+            self._put(payload, attachment=attachment.encoded())
         except zenoh.ZError as error:
             raise BusError(f"cannot send to ROS 2: {error}") from error
         self.sent += 1
 
     def close(self) -> None:
-        """Leave the graph."""
-        for one in self._kept:
+        """Remove the publisher or node from the ROS graph."""
+        for one in self._declared:
             one.undeclare()
 
 
 class RosNode:
-    """A node of ROS 2.
+    """ROS 2 node.
 
     Args:
-        session: Of the bus.
-        domain: ROS 2's domain id.
-        name: Of the node.
-        namespace: Of the node, such as `/fleet`; empty: none.
+        session: Session of the bus.
+        domain: ROS 2 domain id.
+        name: Name of the node.
+        namespace: Namespace of the node, such as `/fleet`; empty: none.
     """
 
     def __init__(self, session: Session, *, domain: int, name: str, namespace: str = "") -> None:
@@ -103,57 +105,60 @@ class RosNode:
         self.domain = domain
         self._identity = Node(domain=domain, zid=session.id, name=name, namespace=namespace or "/")
         self._numbers = itertools.count(1)
-        self._kept: list[Any] = []
+        self._declared: list[Any] = []
         self._show(self._identity.token())
 
     def _show(self, token: str) -> None:
-        self._kept.append(self._zenoh.liveliness().declare_token(token))
+        self._declared.append(self._zenoh.liveliness().declare_token(token))
 
     def _token(self, kind: Endpoint, topic: WireTopic, qos: Qos) -> str:
         return self._identity.endpoint_token(kind, next(self._numbers), topic, qos)
 
     def publisher(self, topic: WireTopic, qos: Qos) -> RosPublisher:
-        """A publisher of a topic."""
+        """Return a publisher of a topic."""
         token = self._token(Endpoint.PUBLISHER, topic, qos)
         return RosPublisher(self._zenoh, topic.key(self.domain), qos, token)
 
     def show_subscription(self, topic: WireTopic, qos: Qos) -> None:
-        """Show in the graph that a topic is read here."""
+        """Announce a subscription in the ROS graph."""
         self._show(self._token(Endpoint.SUBSCRIPTION, topic, qos))
 
     def receive(self, expression: str, receive: Receive) -> None:
-        """Read all keys that an expression matches."""
+        """Subscribe to all keys that match an expression."""
 
-        def take(sample: zenoh.Sample) -> None:
-            beside = None if sample.attachment is None else sample.attachment.to_bytes()
-            told = None if beside is None else Attachment.decoded(beside)
-            receive(str(sample.key_expr), sample.payload.to_bytes(), told.gid if told else b"")
+        def handle(sample: zenoh.Sample) -> None:
+            raw = None if sample.attachment is None else sample.attachment.to_bytes()
+            attachment = None if raw is None else Attachment.decoded(raw)
+            gid = attachment.gid if attachment else b""
+            receive(str(sample.key_expr), sample.payload.to_bytes(), gid)
 
-        self._kept.append(self._zenoh.declare_subscriber(expression, take, allowed_origin=_REMOTE))
+        self._declared.append(
+            self._zenoh.declare_subscriber(expression, handle, allowed_origin=_REMOTE)
+        )
 
     def serve(self, expression: str, serve: Serve) -> None:
-        """Answer the calls on all keys that an expression matches."""
+        """Answer calls on all keys that match an expression."""
 
         def answer(query: zenoh.Query) -> None:
             with query:
                 key = str(query.key_expr)
-                beside = None if query.attachment is None else query.attachment.to_bytes()
+                attachment = None if query.attachment is None else query.attachment.to_bytes()
                 payload = b"" if query.payload is None else query.payload.to_bytes()
                 try:
                     reply = serve(key, payload)
                     if reply is not None:
-                        query.reply(key, reply, attachment=beside)
+                        query.reply(key, reply, attachment=attachment)
                 except (BusError, zenoh.ZError) as error:
-                    _LOG.warning("a call of %s is refused: %s", key, error)
+                    _LOG.warning("rejected a call of %s: %s", key, error)
 
-        self._kept.append(self._zenoh.declare_queryable(expression, answer, complete=True))
+        self._declared.append(self._zenoh.declare_queryable(expression, answer, complete=True))
 
     def show_service(self, topic: WireTopic) -> None:
-        """Show in the graph that a service is offered here."""
+        """Announce a service in the ROS graph."""
         self._show(self._token(Endpoint.SERVICE, topic, RELIABLE))
 
     def close(self) -> None:
-        """Leave the graph."""
-        for one in reversed(self._kept):
+        """Remove the publisher or node from the ROS graph."""
+        for one in reversed(self._declared):
             one.undeclare()
-        self._kept.clear()
+        self._declared.clear()

@@ -1,6 +1,6 @@
-"""A vehicle that a ROS 2 node flies: its observation goes out as topics, the node's answer comes back as its command.
+"""Pilot of a vehicle controlled by a ROS 2 node: publishes its observations and receives its commands.
 
-The process joins as that vehicle, with that vehicle's credentials, and knows what that vehicle may know.
+The process joins as the vehicle, with the vehicle's credentials, and receives only the vehicle's information.
 """
 
 import math
@@ -37,19 +37,19 @@ from outrider_ros2.topics import (
     wire_topic,
 )
 
-_LOOK = 0.01
-"""While it waits for an answer, it looks this often whether it need not wait any longer [s]."""
+_POLL = 0.01
+"""Interval of the checks for a timeout while the pilot waits for an answer [s]."""
 _TEXT, _ACCEL = PILOT_COMMANDS
 _COMMAND = {Role.UAV: UavCommand, Role.UGV: UgvCommand}
 
 
 class RosPilot:
-    """A vehicle's pilot that passes on what a ROS 2 node answers: what it is told goes out, the answer comes in.
+    """Pilot of a vehicle that publishes observations and returns the answers of a ROS 2 node.
 
     Args:
-        node: On a session with the vehicle's credentials.
-        party: The vehicle.
-        patience: The time for which no node may be there while an answer is awaited [s].
+        node: Node on a session with the vehicle's credentials.
+        party: Party of the vehicle.
+        patience: Longest time without a connected node while an answer is awaited [s].
     """
 
     def __init__(self, node: RosNode, party: Party, *, patience: float = 1.0) -> None:
@@ -61,7 +61,7 @@ class RosPilot:
         self._waits: Callable[[], bool] | None = None
         self.refusals = Refusals(log_refused)
         self.answered = 0
-        """Commands that were passed on."""
+        """Number of forwarded commands."""
         self._publishers: dict[str, RosPublisher] = {}
         for row in PILOT_TOPICS:
             if row is not OWN_DETECTION or party.role is Role.UAV:
@@ -74,8 +74,8 @@ class RosPilot:
                 node.receive(f"*/{party.name}/{row.name}/*/{hashed}", self._receive)
 
     @property
-    def there(self) -> bool:
-        """True if a node reads the observation, in one form or another."""
+    def connected(self) -> bool:
+        """True if a node subscribes to the observation or the odometry."""
         return any(self._publishers[row.name].wanted for row in (OBSERVATION, OWN_ODOMETRY))
 
     def _send(self, row: TopicRow, message: object) -> None:
@@ -84,63 +84,64 @@ class RosPilot:
             publisher.send(encode(row.interface, message))
 
     def make(self, briefing: Briefing) -> "RosPilot":
-        """Join: the node is told what the vehicle was told."""
+        """Join the run, and publish the briefing."""
         self._waits = None
         self._send(BRIEFING, _text(briefing))
         return self
 
     def attend(self, waits: Callable[[], bool]) -> None:
-        """From here on answers are awaited; before, what is acted on is past.
+        """Wait for the node's answers from now on; earlier observations are in the past.
 
         Args:
-            waits: Tells whether the answer to the newest observation is still awaited.
+            waits: Returns True while the simulator waits for the answer to the newest observation.
         """
         self._waits = waits
 
     def act(self, observation: Observation) -> Command | None:
-        """The node's command; None: it had none in time."""
+        """Return the node's command; None if it did not answer in time."""
         self.perceive(observation)
         return None if self._waits is None else self.answer(self._waits)
 
-    def perceive(self, seen: Observation) -> None:
-        """Tell the node what the vehicle sees; the lossless form comes last, when all else is there."""
+    def perceive(self, observation: Observation) -> None:
+        """Publish an observation; the complete JSON form follows all other topics."""
         with self._news:
-            self._awaited, self._answer = seen, None
+            self._awaited, self._answer = observation, None
         name = self._party.name
-        if isinstance(seen, UavObservation):
-            for look in seen.detections:
-                self._send(OWN_DETECTION, detection(look.time, name, look.relative_position))
-        self._send(OWN_ODOMETRY, odometry(seen.time, name, seen.position, seen.velocity))
-        self._send(OBSERVATION, _text(seen))
+        if isinstance(observation, UavObservation):
+            for one in observation.detections:
+                self._send(OWN_DETECTION, detection(one.time, name, one.relative_position))
+        own = odometry(observation.time, name, observation.position, observation.velocity)
+        self._send(OWN_ODOMETRY, own)
+        self._send(OBSERVATION, _text(observation))
 
     def answer(self, waits: Callable[[], bool]) -> Command | None:
-        """The node's answer to what it was told last.
+        """Return the node's answer to the last observation; None if it comes too late.
 
         Args:
-            waits: Asked now and then; False: nobody waits for the answer any longer.
+            waits: Returns True while the simulator waits for the answer.
 
         Raises:
-            PeerLost: If the node has gone: who has joined for it must leave, so that the vehicle brakes.
+            PeerLost: If the node disconnected; the process must then leave the run, so that the vehicle brakes.
         """
-        found = sum(one.found for one in self._publishers.values())
-        there = time.monotonic()
+        matches = sum(one.matches for one in self._publishers.values())
+        last_connected = time.monotonic()
         while True:
             with self._news:
                 if self._answer is None:
-                    self._news.wait(_LOOK)
+                    self._news.wait(_POLL)
                 answer, awaited = self._answer, self._awaited
             if answer is not None:
                 self.answered += 1
                 return answer
             if not waits():
                 return None
-            if self.there:
-                there = time.monotonic()
-            elif time.monotonic() - there > self._patience:
-                raise PeerLost(f"the ROS 2 node that flew {self._party.name} has gone")
-            now = sum(one.found for one in self._publishers.values())
-            if now != found and awaited is not None:  # a node that has come meanwhile
-                found = now
+            if self.connected:
+                last_connected = time.monotonic()
+            elif time.monotonic() - last_connected > self._patience:
+                raise PeerLost(f"the ROS 2 node of {self._party.name} disconnected")
+            now = sum(one.matches for one in self._publishers.values())
+            if now != matches and awaited is not None:  # a node connected meanwhile
+                matches = now
                 self.perceive(awaited)
 
     def _receive(self, key: str, payload: bytes, _sender: bytes) -> None:
@@ -159,15 +160,15 @@ class RosPilot:
     def _command_of(self, key: str, payload: bytes) -> Command:
         domain, _vehicle, *topic, interface, hashed = key.split("/")
         if domain != str(self._node.domain):
-            raise Refused("another domain", f"{domain}; this is {self._node.domain}")
+            raise Refused("another domain", f"{domain}; allowed: {self._node.domain}")
         row = _TEXT if "/".join(topic) == _TEXT.name else _ACCEL
-        told = decode_checked(interface, hashed, payload, row.interface)
+        message = decode_checked(interface, hashed, payload, row.interface)
         awaited = self._awaited
-        command = self._read(told.data) if row is _TEXT else self._accelerate(told, awaited)
+        command = self._read(message.data) if row is _TEXT else self._accelerate(message, awaited)
         if awaited is None or command.tick != awaited.tick:
             raise Refused(
                 "answers another tick",
-                f"{command.tick}; awaited is {None if awaited is None else awaited.tick}",
+                f"{command.tick}; allowed: {None if awaited is None else awaited.tick}",
             )
         return command
 
@@ -175,30 +176,30 @@ class RosPilot:
         try:
             return self._decoder.decode(text)
         except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
-            raise Refused("no command", str(error)) from error
+            raise Refused("invalid command", str(error)) from error
 
-    def _accelerate(self, told: RosMessage, awaited: Observation | None) -> Command:
-        frame, value = told.header.frame_id, told.accel.linear
+    def _accelerate(self, message: RosMessage, awaited: Observation | None) -> Command:
+        frame, value = message.header.frame_id, message.accel.linear
         allowed = ("", MAP, base_link(self._party.name))
         if frame not in allowed:
-            raise Refused("another frame", f"{frame}; allowed are {' and '.join(allowed[1:])}")
+            raise Refused("another frame", f"{frame}; allowed: {', '.join(allowed[1:])}")
         if not (math.isfinite(value.x) and math.isfinite(value.y)):
-            raise Refused("no finite number", f"{value.x}, {value.y}")
-        then = told.header.stamp
+            raise Refused("not finite", f"{value.x}, {value.y}")
+        then = message.header.stamp
         if awaited is None or then != stamp(awaited.time):
             raise Refused(
                 "answers another tick",
-                f"its stamp is {then.sec}.{then.nanosec:09d}, not the observation's",
+                f"stamp {then.sec}.{then.nanosec:09d}; allowed: the stamp of the observation",
             )
         plain = {"tick": awaited.tick, "acceleration": (float(value.x), float(value.y))}
         try:
             command: Command = msgspec.convert(plain, _COMMAND[self._party.role])
             return command
         except msgspec.ValidationError as error:
-            raise Refused("no command", str(error)) from error
+            raise Refused("invalid command", str(error)) from error
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Remove the publishers from the ROS graph."""
         for publisher in self._publishers.values():
             publisher.close()
 

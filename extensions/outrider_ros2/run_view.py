@@ -1,4 +1,4 @@
-"""Facts about a run that conversion to ROS 2 needs beside the message itself."""
+"""Context of a run for the conversion of its messages to ROS 2."""
 
 import math
 from dataclasses import dataclass, field
@@ -12,25 +12,25 @@ from sim.scene.model import Scene, observed_scene
 
 @dataclass(slots=True)
 class PathTrack:
-    """The way that a vehicle has come, thinned out: as many points however long it is."""
+    """Path of a vehicle so far, thinned out to a bounded number of points."""
 
     times: list[float] = field(default_factory=list)
-    """[s]"""
+    """Time of each point [s]."""
     positions: list[Vector] = field(default_factory=list)
-    """[m]"""
+    """Position of each point [m]."""
     step: float = 0.1
-    """Least distance between two points [m]."""
+    """Minimum distance between two points [m]."""
 
     def add(self, time: float, position: Vector, most: int = 500) -> None:
-        """Take a position down if it is far enough from the last.
+        """Add a position if it is far enough from the last point.
 
         Args:
-            time: When [s].
-            position: Where [m].
-            most: Points from which on every second one is forgotten.
+            time: Simulated time [s].
+            position: Position [m].
+            most: Number of points beyond which every second one is dropped.
         """
         if self.times and time < self.times[-1]:
-            self.times, self.positions, self.step = [], [], PathTrack().step  # another flight
+            self.times, self.positions, self.step = [], [], PathTrack().step  # another run
         if self.positions and math.dist(self.positions[-1], position) < self.step:
             return
         self.times.append(time)
@@ -43,19 +43,19 @@ class PathTrack:
 
 @dataclass(slots=True, kw_only=True)
 class RunView:
-    """The facts about a run that conversion needs beside the message itself."""
+    """Context of a run for the conversion of its messages."""
 
     scene: Scene
     dt: float
     """Time between two ticks [s]."""
     tracks: dict[str, PathTrack] = field(default_factory=dict)
     hazards: tuple[Hazard, ...] = ()
-    """Of the flight: a recording tells them in its first map alone."""
+    """Hazards of the run; only the first map of a recording contains them."""
     own: tuple[RosMessage, ...] = ()
-    """Diagnostics of the bridge itself."""
+    """Diagnostic statuses of the bridge itself."""
 
     def follow(self, message: Message | None) -> None:
-        """Take down what later messages need: the vehicles' positions for their paths, and a flight's hazards."""
+        """Store the vehicles' positions and the hazards for the conversion of later messages."""
         match message:
             case Truth():
                 for name, vehicle in message.vehicles.items():
@@ -65,11 +65,11 @@ class RunView:
 
 
 def view_of(name: str, geometry: Geometry) -> RunView:
-    """The view of a run that observers have.
+    """Return the context of a run for observers.
 
     Args:
-        name: Of the scenario.
-        geometry: What they are told of it.
+        name: Name of the scenario.
+        geometry: Geometry sent to observers.
     """
     scene = observed_scene(name, geometry, escorts=geometry.uavs, vehicles=geometry.limits)
     return RunView(scene=scene, dt=geometry.dt)

@@ -1,4 +1,4 @@
-"""THE table of ROS 2 topics: one row each. Publishing, bags and the page of the documentation are derived from it."""
+"""Table of the ROS 2 topics, from which publication, bags and documentation are derived."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -34,30 +34,30 @@ class Each(StrEnum):
 
 
 Convert = Callable[[RunView, Any, str], Any]
-"""Makes a ROS 2 message of the run, one of its own messages and the name of a vehicle; None: there is none."""
+"""Function that converts a message of the run for a vehicle to a ROS 2 message, or returns None."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicRow:
-    """One topic, or one for each vehicle of a kind."""
+    """One topic, or one topic per vehicle of a kind."""
 
     name: str
-    """The last part, after the vehicle's name."""
+    """Last part of the topic name, after the vehicle's name."""
     each: Each = Each.RUN
     interface: str
-    """Such as `nav_msgs/msg/Odometry`."""
+    """Type, such as `nav_msgs/msg/Odometry`."""
     qos: Qos = RELIABLE
     source: type[Message] | None = None
-    """The message that it is made of; None: of what stays as it is."""
+    """Message that is converted; None for a static topic."""
     convert: Convert = lambda _view, _message, _name: None
-    """By default there is nothing to convert: a vehicle's own node does it itself."""
+    """Conversion; by default none, since the pilot of a vehicle converts its own messages."""
     period: float = 0.0
-    """Time between two of them at least [s]: of the wall clock, in a bag of the simulated one."""
+    """Minimum time between two messages [s]: wall time, or simulated time in a bag."""
     about: str
-    """One line, for the documentation."""
+    """Description, for the documentation."""
 
     def names(self, scene: Scene) -> Iterator[tuple[str, str]]:
-        """The vehicle and the topic's name without namespace, for each vehicle that has one."""
+        """Yield vehicle and topic name (without namespace) for each vehicle with this topic."""
         if self.each is Each.RUN:
             yield "", f"/{self.name}"
             return
@@ -82,14 +82,14 @@ TOPICS: tuple[TopicRow, ...] = (
         qos=Qos(depth=100),
         source=Truth,
         convert=lambda _view, truth, _name: conversion.transforms(truth),
-        about="Where each vehicle truly is: `map` to `uav_0/base_link`.",
+        about="True pose of each vehicle: `map` to `uav_0/base_link`.",
     ),
     TopicRow(
         name="tf_static",
         interface="tf2_msgs/msg/TFMessage",
         qos=LATCHED,
         convert=lambda view, _message, _name: conversion.static_transforms(view),
-        about="The UAVs' downward sensors: `uav_0/base_link` to `uav_0/sensor`, whose x axis looks at the ground.",
+        about="Downward sensors of the UAVs: `uav_0/base_link` to `uav_0/sensor`, whose x axis points at the ground.",
     ),
     TopicRow(
         name="odom",
@@ -97,7 +97,7 @@ TOPICS: tuple[TopicRow, ...] = (
         interface="nav_msgs/msg/Odometry",
         source=Truth,
         convert=lambda _view, truth, name: conversion.true_odometry(truth, name),
-        about="Where a vehicle truly is, and its velocity.",
+        about="True position and velocity of a vehicle.",
     ),
     TopicRow(
         name="accel",
@@ -105,7 +105,7 @@ TOPICS: tuple[TopicRow, ...] = (
         interface="geometry_msgs/msg/AccelStamped",
         source=Truth,
         convert=lambda _view, truth, name: conversion.acceleration(truth, name),
-        about="The acceleration that was applied since the last tick, after the bounds.",
+        about="Acceleration applied since the last tick, after clipping to the bounds.",
     ),
     TopicRow(
         name="path",
@@ -115,7 +115,7 @@ TOPICS: tuple[TopicRow, ...] = (
         source=Truth,
         convert=conversion.path,
         period=1.0,
-        about="The way that it has come, in at most 500 points.",
+        about="Path of the vehicle so far, with at most 500 points.",
     ),
     TopicRow(
         name="detection",
@@ -124,7 +124,7 @@ TOPICS: tuple[TopicRow, ...] = (
         qos=SENSOR,
         source=Truth,
         convert=lambda _view, truth, name: conversion.true_detection(truth, name),
-        about="Where the UAV's detector has seen its UGV at this tick, with noise, from `uav_0/base_link`.",
+        about="Detection of the UGV at this tick, with noise, relative to `uav_0/base_link`.",
     ),
     TopicRow(
         name="estimate",
@@ -132,7 +132,7 @@ TOPICS: tuple[TopicRow, ...] = (
         interface="geometry_msgs/msg/PoseWithCovarianceStamped",
         source=Truth,
         convert=lambda _view, truth, name: conversion.estimate(truth, name),
-        about="Where the UAV believes its UGV to be, with the covariance of its filter.",
+        about="Estimated position of the UGV, with its covariance.",
     ),
     TopicRow(
         name="distance",
@@ -140,7 +140,7 @@ TOPICS: tuple[TopicRow, ...] = (
         interface="std_msgs/msg/Float64",
         source=Truth,
         convert=lambda _view, truth, name: conversion.distance(truth, name),
-        about="True distance from the UAV to its UGV, in m.",
+        about="True distance between the UAV and its UGV, in m.",
     ),
     TopicRow(
         name="coverage_error",
@@ -148,100 +148,100 @@ TOPICS: tuple[TopicRow, ...] = (
         interface="std_msgs/msg/Float64",
         source=Truth,
         convert=lambda _view, truth, name: conversion.coverage_error(truth, name),
-        about="e(t) of (4), in m².",
+        about="Coverage error e(t), eq. (4), in m².",
     ),
     TopicRow(
         name="discs",
         interface="visualization_msgs/msg/MarkerArray",
         qos=LATCHED,
         convert=lambda view, _message, _name: pictures.discs(view),
-        about="Limit of sight, range of the sensor, the vehicles, edge of the area; moving with the frames.",
+        about="Visibility radius, sensor range, vehicles and edge of the area, moving with their frames.",
     ),
     TopicRow(
         name="coverage",
         interface="nav_msgs/msg/OccupancyGrid",
         qos=LATCHED,
         source=CoverageMap,
-        convert=lambda view, told, _name: pictures.coverage(view, told),
-        about="Share of the desired coverage of each cell, in percent; at most five times a second.",
+        convert=lambda view, message, _name: pictures.coverage(view, message),
+        about="Coverage of each cell as a share of its desired coverage, in percent; at most 5 Hz.",
     ),
     TopicRow(
         name="ground",
         interface="nav_msgs/msg/OccupancyGrid",
         qos=LATCHED,
         source=GroundMap,
-        convert=lambda view, told, _name: pictures.ground(view, told),
-        about="The ground as the UGVs know it: -1 unknown, 0 clear, 50 rough, 100 blocked.",
+        convert=lambda view, message, _name: pictures.ground(view, message),
+        about="Ground known to the UGVs: -1 unknown, 0 clear, 50 rough, 100 blocked.",
     ),
     TopicRow(
         name="hazards",
         interface="visualization_msgs/msg/MarkerArray",
         qos=LATCHED,
         source=GroundMap,
-        convert=lambda view, told, _name: pictures.hazards(view, told),
-        about="The hazards as they truly lie on the ground; faint where no UGV knows of one, red where one was hit.",
+        convert=lambda view, message, _name: pictures.hazards(view, message),
+        about="True hazards on the ground: faint if unknown to the UGVs, red if hit.",
     ),
     TopicRow(
         name="diagnostics",
         interface="diagnostic_msgs/msg/DiagnosticArray",
         source=Status,
         convert=lambda view, status, _name: diagnostics.diagnostics(status, view.own),
-        about="The run, its links, its vehicles' processes; what is certified, and why not.",
+        about="State of the run, its links and vehicle processes; certificates, with reasons if not certified.",
     ),
 )
-"""Topics of observers: the truth. No vehicle may read any of them."""
+"""Topics with the truth, for observers only; no vehicle may read them."""
 
 OBSERVATION = TopicRow(
     name=f"{PILOT}/observation",
     each=Each.VEHICLE,
     interface="std_msgs/msg/String",
-    about="All that the vehicle is told at a tick, as JSON: nothing is lost.",
+    about="Complete observation of the vehicle at a tick, as JSON.",
 )
 BRIEFING = TopicRow(
     name=f"{PILOT}/briefing",
     each=Each.VEHICLE,
     interface="std_msgs/msg/String",
     qos=LATCHED,
-    about="All that the vehicle was told when it joined, as JSON.",
+    about="Complete briefing of the vehicle when it joined, as JSON.",
 )
 OWN_ODOMETRY = TopicRow(
     name=f"{PILOT}/odom",
     each=Each.VEHICLE,
     interface="nav_msgs/msg/Odometry",
-    about="Position and velocity as the vehicle is told them.",
+    about="Position and velocity in the vehicle's observation.",
 )
 OWN_DETECTION = TopicRow(
     name=f"{PILOT}/detection",
     each=Each.UAV,
     interface="geometry_msgs/msg/PointStamped",
-    about="Each detection that has come to the UAV's computer.",
+    about="Each detection received by the UAV's computer.",
 )
 PILOT_TOPICS = (OBSERVATION, BRIEFING, OWN_ODOMETRY, OWN_DETECTION)
-"""Topics of a vehicle's own node: its observation, and nothing else. Nobody else may read them."""
+"""Topics for the node of a vehicle: the vehicle's own information. No other party may read them."""
 PILOT_COMMANDS = (
     TopicRow(
         name=f"{PILOT}/command",
         each=Each.VEHICLE,
         interface="std_msgs/msg/String",
-        about="The whole command as JSON, with radio messages and motions: nothing is lost.",
+        about="Complete command as JSON, with radio messages and backup trajectories.",
     ),
     TopicRow(
         name=f"{PILOT}/accel",
         each=Each.VEHICLE,
         interface="geometry_msgs/msg/AccelStamped",
-        about="The commanded acceleration; its stamp is that of the observation which it answers.",
+        about="Commanded acceleration, with the stamp of the observation that it answers.",
     ),
 )
-"""Answers of a vehicle's own node, in one form or the other: the first of them counts."""
+"""Answers of the node of a vehicle, in one of two forms; the first answer counts."""
 
 
 def wire_topic(interface: str, name: str, namespace: str = "") -> WireTopic:
-    """A topic of a type as it travels.
+    """Return a topic with the hash of its type.
 
     Args:
-        interface: Such as `nav_msgs/msg/Odometry`.
-        name: Absolute, without namespace.
-        namespace: Such as `/fleet`; empty: none.
+        interface: Type, such as `nav_msgs/msg/Odometry`.
+        name: Absolute name, without namespace.
+        namespace: Namespace, such as `/fleet`; empty: none.
     """
     return WireTopic(name=f"{namespace}{name}", interface=interface, hash=type_hash(interface))
 
@@ -249,12 +249,12 @@ def wire_topic(interface: str, name: str, namespace: str = "") -> WireTopic:
 def messages_of(
     view: RunView, message: Message | None, *, wanted: Iterable[str] | None = None
 ) -> Iterator[tuple[str, bytes]]:
-    """Converts one of our messages: the name of each topic that is made of it, without namespace, and the CDR for it.
+    """Yield name (without namespace) and CDR of each topic converted from a message.
 
     Args:
-        view: The run that it is of.
-        message: What the simulator tells; None: what stays as it is.
-        wanted: Names of topics, without namespace; None: all.
+        view: Context of the run.
+        message: Message of the run; None for the static topics.
+        wanted: Names of topics to convert, without namespace; None: all.
     """
     view.follow(message)
     source = None if message is None else type(message)

@@ -1,1 +1,1 @@
-"""The cards of the page that can be touched: run, wheel, links, and the player of a recording."""
+"""Interactive cards of the page: run, teleoperation, links, and playback of a recording."""

@@ -1,4 +1,4 @@
-"""The controls of a recording that is played. What steers a run is shown, and cannot be touched."""
+"""Controls of a recording: playback, and the disabled controls of a run."""
 
 import math
 import time
@@ -21,72 +21,80 @@ from outrider_dashboard.controls.widgets import (
     ticks,
 )
 from outrider_dashboard.hub import Hub
-from outrider_dashboard.sources.tape import Tape
+from outrider_dashboard.sources.recorded import RecordedRun
 
 _PATIENCE = 1.0
-"""So long a control shows what was chosen before it shows what is [s]."""
+"""Time for which a control shows the user's choice before it shows the playback state again [s]."""
 _THROTTLE = 0.1
-"""Wall time between two words of a slider that is moved [s]."""
+"""Wall time between two events of a moving slider [s]."""
 
 
 class Player:
-    """The controls of one browser.
+    """Controls of one browser.
 
     Args:
-        hub: What is shown.
-        tape: What is played.
+        hub: State shown by the page.
+        recorded: Recorded run to control.
     """
 
-    def __init__(self, hub: Hub, tape: Tape) -> None:
-        self._hub, self._tape = hub, tape
+    def __init__(self, hub: Hub, recorded: RecordedRun) -> None:
+        self._hub, self._recorded = hub, recorded
         self._touched = -math.inf
         name = '<span id="file" class="muted"></span>'
         with card("Replay", beside=name):
             self._build_player()
-        with card("As it was flown"):
+        with card("Settings of the run"):
             self._build_settings()
-        with card("The wheel"):
+        with card("Operator control"):
             with row():
                 take = "unelevated color=accent disable"
-                button("Take the wheel", icon="sports_esports", props=take)
-            ui.label("Nobody can drive: this is a recording.").classes("note")
+                button("Take control", icon="sports_esports", props=take)
+            ui.label("Vehicles cannot be driven: this is a recording.").classes("note")
         LinkForm(None, RECORDING)
 
     def _build_player(self) -> None:
-        tape = self._tape
+        recorded = self._recorded
         with row():
             self._play = button("Pause", self._toggle, icon="pause", props="unelevated")
             self._step = button("Step", self._make_step, icon="skip_next")
             self._ticks = ticks()
         with row():
-            start = "flat round aria-label='to the start'"
-            button("", lambda: tape.wind(tape.begin), icon="replay", props=start, classes="small")
-            span = max(tape.end - tape.begin, 1e-3)
+            start = "flat round aria-label='Back to the start'"
+            button(
+                "",
+                lambda: recorded.seek(recorded.begin),
+                icon="replay",
+                props=start,
+                classes="small",
+            )
+            span = max(recorded.end - recorded.begin, 1e-3)
             self._at = slider(
-                "time",
-                min=tape.begin,
-                max=tape.begin + span,
+                "Time",
+                min=recorded.begin,
+                max=recorded.begin + span,
                 step=span / 1000.0,
-                value=tape.begin,
+                value=recorded.begin,
             )
             self._at.on("update:model-value", self._seek, throttle=_THROTTLE)
-            self._time = readout("Simulated time that is shown, and the end [s]", classes="wide")
+            self._time = readout(
+                "Simulated time shown, and end of the recording [s]", classes="wide"
+            )
         with row():
-            ui.label("speed").classes("muted")
+            ui.label("Speed").classes("muted")
             self._speed = slider(
-                "speed", min=-1.0, max=2.0, step=0.1, value=position_of(tape.speed)
+                "Speed", min=-1.0, max=2.0, step=0.1, value=position_of(recorded.speed)
             )
             self._speed.on("update:model-value", self._set_speed, throttle=_THROTTLE)
             self._factor = readout("Simulated seconds per second of wall time")
 
     def _build_settings(self) -> None:
         with row():
-            self._law = select_row(LAWS, [], "law", props="disable")
-            self._driver = select_row(DRIVERS, [], "driver", props="disable")
+            self._law = select_row(LAWS, [], "Law", props="disable")
+            self._driver = select_row(DRIVERS, [], "Driver", props="disable")
         with row():
             meaning = "Seed of all random numbers"
             self._seed = number(
-                "seed",
+                "Seed",
                 low=0,
                 high=HIGHEST_SEED,
                 meaning=meaning,
@@ -97,31 +105,31 @@ class Player:
             button("Reset", icon="restart_alt", props="outline disable", classes="")
         ui.label("Law, driver and seed cannot be changed: this is a recording.").classes("note")
 
-    # What people want
+    # Input
 
     def _toggle(self) -> None:
-        if self._tape.playing:
-            self._tape.pause()
+        if self._recorded.playing:
+            self._recorded.pause()
         else:
-            self._tape.play()
+            self._recorded.play()
 
     def _make_step(self) -> None:
         if self._ticks.error is None:
-            self._tape.step(int(self._ticks.value))
+            self._recorded.step(int(self._ticks.value))
 
     def _seek(self, event: GenericEventArguments) -> None:
         self._touched = time.monotonic()
-        self._tape.wind(_number(event.args))
+        self._recorded.seek(_number(event.args))
 
     def _set_speed(self, event: GenericEventArguments) -> None:
         self._touched = time.monotonic()
-        self._tape.speed = factor_of(_number(event.args))
+        self._recorded.speed = factor_of(_number(event.args))
 
-    # What is
+    # Display
 
     def show(self) -> None:
-        """Let the controls show how the recording is played, unless somebody has just touched them."""
-        tape, playing = self._tape, self._tape.standing.replay
+        """Show the playback state, unless the user has just changed a control."""
+        recorded, playing = self._recorded, self._recorded.state.replay
         if playing is None:
             return
         self._play.set_text("Pause" if playing.playing else "Play")
@@ -130,7 +138,7 @@ class Player:
         self._factor.set_text(f"{playing.speed:g} ×")
         if time.monotonic() - self._touched >= _PATIENCE:
             self._at.set_value(playing.at)
-            self._speed.set_value(position_of(tape.speed))
+            self._speed.set_value(position_of(recorded.speed))
         status = self._hub.status
         if status is None:
             return
@@ -139,6 +147,6 @@ class Player:
         self._seed.set_value(status.seed)
 
 
-def _number(value: Any) -> float:  # noqa: ANN401 - what the browser says
+def _number(value: Any) -> float:  # noqa: ANN401 - sent by the browser
     found = float(value)
     return found if math.isfinite(found) else 0.0

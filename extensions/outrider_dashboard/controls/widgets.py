@@ -1,4 +1,4 @@
-"""NiceGUI's widgets as the page wears them, a call each."""
+"""NiceGUI widgets in the style of the page."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -12,15 +12,15 @@ _Action = Callable[..., object]
 
 
 def html(text: str, classes: str = "") -> ui.html:
-    """HTML of our own."""
+    """Return an element with trusted HTML."""
     return ui.html(text, sanitize=False).classes(classes)
 
 
 def card(title: str, *, beside: str = "", classes: str = "", props: str = "") -> ui.element:
-    """A card with its title, to be filled in a `with`.
+    """Return a card with a title, to be filled in a `with` block.
 
     Args:
-        title: Of the card.
+        title: Title of the card.
         beside: HTML to the right of the title.
         classes: CSS classes.
         props: Quasar's properties.
@@ -32,7 +32,7 @@ def card(title: str, *, beside: str = "", classes: str = "", props: str = "") ->
 
 
 def row(classes: str = "") -> ui.element:
-    """Widgets side by side, to be filled in a `with`."""
+    """Return a row of widgets, to be filled in a `with` block."""
     return ui.element("div").classes(f"row-of {classes}")
 
 
@@ -44,7 +44,7 @@ def button(
     props: str = "outline",
     classes: str = "grow",
 ) -> ui.button:
-    """A button."""
+    """Return a button."""
     made = ui.button(text, icon=icon, on_click=on_click)
     return made.props(f"dense {props}").classes(classes)
 
@@ -61,28 +61,28 @@ def number(
     classes: str = "",
     **more: Any,  # noqa: ANN401 - NiceGUI's
 ) -> ui.number:
-    """A field for a number from `low` to `high`; another one is refused beside it, and its `error` is not None.
+    """Return an input field for a number; it shows an error message, and `error` is set, for an invalid value.
 
     Args:
-        label: Of the field.
-        low: The least value.
-        high: The greatest.
-        meaning: What the number is, for a tooltip.
-        whole: True if it must be a whole number.
-        needed: False if the field may be empty.
+        label: Label of the field.
+        low: Smallest allowed value.
+        high: Largest allowed value.
+        meaning: Description of the value, for the tooltip.
+        whole: True to allow whole numbers only.
+        needed: False to allow an empty field.
         props: Quasar's properties.
         classes: CSS classes.
-        more: NiceGUI's arguments.
+        more: Further arguments of NiceGUI's widget.
     """
     allowed = f"{'a whole number ' if whole else ''}from {low:,g} to {high:,.16g}"
 
-    def refusal(value: float | None) -> str | None:
+    def problem(value: float | None) -> str | None:
         if value is None:
-            return f"nothing is entered; allowed: {allowed}" if needed else None
+            return f"A value is required; allowed: {allowed}" if needed else None
         fits = low <= value <= high and not (whole and value % 1.0)
-        return None if fits else f"{value:,.16g} is refused; allowed: {allowed}"
+        return None if fits else f"{value:,.16g} is invalid; allowed: {allowed}"
 
-    made = ui.number(label, validation=refusal, **more)
+    made = ui.number(label, validation=problem, **more)
     tip = f'title="{meaning}: {allowed}"'
     return made.props(f"dense outlined hide-bottom-space no-error-icon {tip} {props}").classes(
         classes
@@ -90,21 +90,21 @@ def number(
 
 
 def ticks() -> ui.number:
-    """A field for a number of ticks."""
-    meaning = "Ticks that Step flies"
+    """Return an input field for a number of ticks."""
+    meaning = "Number of ticks to step"
     return number(
-        "ticks", value=1, low=1, high=1_000_000, meaning=meaning, whole=True, classes="narrow"
+        "Ticks", value=1, low=1, high=1_000_000, meaning=meaning, whole=True, classes="narrow"
     )
 
 
 def select(options: Any, label: str, *, props: str = "", **more: Any) -> ui.select:  # noqa: ANN401 - NiceGUI's
-    """A field for a choice."""
+    """Return a selection field."""
     return ui.select(options, label=label, **more).props(f"dense outlined {props}").classes("grow")
 
 
 _OPTION = """<q-item v-bind="props.itemProps"><q-item-section><q-item-label>{{{{ props.opt.label }}}}</q-item-label>
 <q-item-label caption>{{{{ ({meanings})[props.opt.label] }}}}</q-item-label></q-item-section></q-item>"""
-"""Vue's template of an option of a list."""
+"""Vue template of an option in the list."""
 
 
 def select_row(
@@ -115,7 +115,7 @@ def select_row(
     props: str = "",
     **more: Any,  # noqa: ANN401 - NiceGUI's
 ) -> ui.select:
-    """A field for the choice of a law or driver; its list tells what each does, and its tooltip what is chosen."""
+    """Return a selection field for a law or driver; list and tooltip describe the choices."""
     meanings = {name: row.about for name, row in rows.items()}
     made = select(offered, label, props=f"popup-content-class=meanings {props}", **more)
     made.add_slot("option", _OPTION.format(meanings=json.dumps(meanings)))
@@ -130,10 +130,10 @@ def select_row(
 
 
 def readout(meaning: str, *, classes: str = "") -> ui.label:
-    """A number beside a control, with its meaning as a tooltip."""
+    """Return a number beside a control, with a tooltip."""
     return ui.label("").classes(f"readout {classes}").props(f'title="{meaning}"')
 
 
 def slider(label: str, *, props: str = "", **more: Any) -> ui.slider:  # noqa: ANN401 - NiceGUI's
-    """A slider that is called so."""
+    """Return a slider with an accessible label."""
     return ui.slider(**more).props(f"aria-label='{label}' {props}").classes("grow")

@@ -1,1 +1,1 @@
-"""Sources of the page: a run that is flown now, or a recording that is played."""
+"""Sources of the page: a live run or a recording."""

@@ -1,4 +1,4 @@
-"""The protocol of the page's sources: a run that is flown now (`live`), or a recording that is played (`tape`)."""
+"""Protocol of the sources of the page: a live run (`live`) or a recording (`recorded`)."""
 
 from collections.abc import Iterator
 from typing import Protocol
@@ -11,54 +11,56 @@ from bus.messages.vehicle import Teleoperation
 
 
 class Playing(msgspec.Struct, frozen=True, kw_only=True):
-    """The state of a recording that is played."""
+    """Playback state of a recording."""
 
     file: str
     begin: float
-    """Of the recording [s]."""
+    """Start of the recording [s]."""
     end: float
+    """End of the recording [s]."""
     at: float
-    """The simulated time that is shown [s]."""
+    """Simulated time shown [s]."""
     playing: bool
     speed: float
     """Simulated seconds per second of wall time."""
     note: str = ""
-    """The fault of the file; empty: none."""
+    """Damage of the file; empty: none."""
 
 
 class SourceState(msgspec.Struct, frozen=True, kw_only=True):
-    """The state of a source."""
+    """State of a source."""
 
     level: str = ""
-    """The severity of `line`: `bad`, `info`, or nothing."""
+    """Severity of `line`: `bad`, `info` or empty."""
     line: str = ""
+    """Text of the banner; empty: no banner."""
     router: bool = True
     simulator: bool = True
     replay: Playing | None = None
 
 
 class Source(Protocol):
-    """The hub's side of either."""
+    """Interface of a source, as used by the hub."""
 
     may_steer: bool
-    """True if anybody receives what is sent."""
+    """True if the source accepts commands."""
 
     def news(self) -> Iterator[Message]:
-        """Status, Truth, CoverageMap and GroundMap that have come since the last call, in this order of kinds."""
+        """Yield the new Status, Truth, CoverageMap and GroundMap messages, in this order of types."""
 
     @property
     def factor(self) -> float:
-        """Simulated seconds per second of wall time, lately."""
+        """Recent simulated seconds per second of wall time."""
 
     @property
-    def standing(self) -> SourceState:
-        """Its state now."""
+    def state(self) -> SourceState:
+        """Current state."""
 
     def control(self, control: Control) -> bool:
-        """Say something to the simulator; False if it cannot be said."""
+        """Send a command to the simulator; return False if it cannot be sent."""
 
     def drive(self, vehicle: str, drive: Teleoperation) -> bool:
-        """Say something to a UGV; False if it cannot be said."""
+        """Send a command to a UGV; return False if it cannot be sent."""
 
     def close(self) -> None:
-        """Say no more."""
+        """Stop sending, and release the resources."""

@@ -1,8 +1,8 @@
-// What every picture here needs: sharp lines on any screen, round numbers on the axes.
+// Canvas helpers: scaling to the screen's pixels, axis ticks, text.
 
 export const FONT = "Roboto, system-ui, sans-serif";
 
-// The canvas' context in CSS pixels, its backing store as fine as the screen.
+// Return the canvas's context in CSS pixels, with a backing store in device pixels.
 export function fit(canvas) {
   const ratio = window.devicePixelRatio || 1;
   const width = canvas.clientWidth;
@@ -15,7 +15,7 @@ export function fit(canvas) {
   return { context, width, height };
 }
 
-// About `count` round numbers between two limits.
+// Return about `count` round numbers between two limits.
 export function ticks(low, high, count) {
   const span = high - low;
   if (!(span > 0)) return [low];
@@ -27,22 +27,22 @@ export function ticks(low, high, count) {
   return found;
 }
 
-// A colour as a pixel: RGBA, little-endian.
+// Return a color as an RGBA pixel, little-endian.
 export function pixel(color, opacity = 1) {
   const value = parseInt(color.slice(1), 16);
   return ((Math.round(255 * opacity) << 24) | ((value & 255) << 16) | (value & 0xff00) | (value >> 16)) >>> 0;
 }
 
-// Turn the bytes of a grid into a picture, each into its pixel of the table; row 0 is y = 0.
+// Draw a grid of bytes as an image, with a table of pixels; row 0 is y = 0.
 export function paint(image, { columns, rows }, cells, table) {
   const bytes = atob(cells);
   if (image.width !== columns || image.height !== rows) [image.width, image.height] = [columns, rows];
   const context = image.getContext("2d");
   const pixels = context.createImageData(columns, rows);
-  const words = new Uint32Array(pixels.data.buffer);
+  const target = new Uint32Array(pixels.data.buffer);
   for (let row = 0; row < rows; row += 1) {
     const to = (rows - 1 - row) * columns;
-    for (let column = 0; column < columns; column += 1) words[to + column] = table[bytes.charCodeAt(row * columns + column)];
+    for (let column = 0; column < columns; column += 1) target[to + column] = table[bytes.charCodeAt(row * columns + column)];
   }
   context.putImageData(pixels, 0, 0);
 }
@@ -51,7 +51,7 @@ export function colorOf(list, index) {
   return list[index % list.length];
 }
 
-// Text whose "_x" is a subscript; returns its width.
+// Write a text in which "_x" marks a subscript; return its width.
 export function write(c, text, x, y, size = 12) {
   let at = x;
   for (const [, sub, plain] of text.matchAll(/_(.)|([^_]+)/g)) {

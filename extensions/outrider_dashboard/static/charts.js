@@ -1,20 +1,20 @@
-// Charts over simulated time. A chart is a row of the table; all share the time axis and the cursor.
+// Charts over simulated time: one row of the table each, with a common time axis and cursor.
 
 import { FONT, colorOf, fit, ticks, write } from "./canvas.js";
 
-const LINE = 14; // of the numbers at the cursor [px]
+const LINE = 14; // line height of the values at the cursor [px]
 
 export const CHARTS = [
-  { id: "distance", label: "distance ‖p_Δ‖ [m]", column: 0, lines: true },
-  { id: "error", label: "coverage error e(t) [m²]", column: 1 },
-  { id: "estimate", label: "estimate error [m]", column: 2, least: 0.01 },
-  { id: "age", label: "age of the newest detection [s]", column: 3, least: 0.1, losses: true },
-  { id: "factor", label: "real-time factor [×]", column: -1, time: true },
+  { id: "distance", label: "Distance ‖p_Δ‖ [m]", column: 0, lines: true },
+  { id: "error", label: "Coverage error e(t) [m²]", column: 1 },
+  { id: "estimate", label: "Estimation error [m]", column: 2, least: 0.01 },
+  { id: "age", label: "Age of the newest detection [s]", column: 3, least: 0.1, losses: true },
+  { id: "factor", label: "Real-time factor [×]", column: -1, time: true },
 ];
 
-// Numbers that a row has for each escort; the fifth is the share of detections lost, the sixth says that there is a blackout.
+// Columns of a row for each escort; the fifth is the share of lost detections, the sixth is 1 during a blackout.
 export const PER_ESCORT = 6;
-const [LOST, DARK] = [4, 5];
+const [LOST, BLACKOUT] = [4, 5];
 
 export class Charts {
   constructor(store) {
@@ -58,11 +58,11 @@ export class Charts {
     }));
   }
 
-  // The largest of a number over all escorts, row by row.
+  // Return a function for the largest value of a column over all escorts in a row.
   worst(which) {
     const { vehicles, escorts } = this.store;
-    const places = escorts.map((_, k) => 2 + 2 * vehicles.length + PER_ESCORT * k + which);
-    return (row) => Math.max(0, ...places.map((at) => row[at] || 0));
+    const columns = escorts.map((_, k) => 2 + 2 * vehicles.length + PER_ESCORT * k + which);
+    return (row) => Math.max(0, ...columns.map((at) => row[at] || 0));
   }
 
   drawOne(chart, canvas, rows, start, end) {
@@ -102,7 +102,7 @@ export class Charts {
     }
     c.fillStyle = colors.ink;
     c.font = `12px ${FONT}`;
-    if (chart.time) c.fillText("time [s]", left + w / 2, height - 7);
+    if (chart.time) c.fillText("Time [s]", left + w / 2, height - 7);
     c.textAlign = "left";
     write(c, chart.label, left, 9);
     if (chart.losses) this.drawLosses(c, rows, X, top + h);
@@ -124,17 +124,17 @@ export class Charts {
     if (this.cursor !== null) this.drawCursor(c, rows, series, { X, Y, left, w, top, h, start, end });
   }
 
-  // A shade where a blackout took messages.
+  // Shade the blackouts.
   drawBlackouts(c, rows, X, top, h) {
-    const dark = this.worst(DARK);
+    const blackout = this.worst(BLACKOUT);
     c.fillStyle = `${this.store.colors.limit}24`;
     for (let k = 1; k < rows.length; k += 1) {
       const [from, to] = [Math.round(X(rows[k - 1][0])), Math.round(X(rows[k][0]))];
-      if (dark(rows[k])) c.fillRect(from, top, to - from, h);
+      if (blackout(rows[k])) c.fillRect(from, top, to - from, h);
     }
   }
 
-  // A strip below the axis, the darker the more is lost.
+  // Draw a strip below the axis, darker for a larger share of lost detections.
   drawLosses(c, rows, X, bottom) {
     const { limit } = this.store.colors;
     const lost = this.worst(LOST);
@@ -172,7 +172,7 @@ export class Charts {
     this.drawNumbers(c, lines, X(row[0]), { left, right: left + w, top });
   }
 
-  // The numbers at the cursor, in a box on the side that has room.
+  // Draw the values at the cursor in a box, on the side with enough space.
   drawNumbers(c, lines, x, { left, right, top }) {
     const { colors } = this.store;
     c.font = `11px ${FONT}`;

@@ -1,4 +1,4 @@
-// The close-up: the selected UGV and the estimate of it, over a corner of the map.
+// Close-up of the selected UGV and its estimate, in a corner of the map.
 
 import { FONT } from "./canvas.js";
 
@@ -7,18 +7,18 @@ export class CloseUp {
     this.ground = ground;
     this.store = store;
     this.corner = 0;
-    this.place = null; // on the picture; null: nothing is drawn
-    this.shown = ""; // name of its UGV
+    this.place = null; // box on the canvas; null: not drawn
+    this.shown = ""; // name of the UGV shown
   }
 
-  // The pair of the selected vehicle: of a UGV with several UAVs the farthest.
+  // Return the pair of the selected vehicle; for a UGV with several UAVs, the most distant one.
   selectedEscort() {
     const { truth, selected } = this.store;
     const pairs = truth ? truth.escorts.filter(({ uav, ugv, report }) => report && (uav === selected || ugv === selected)) : [];
     return pairs.reduce((best, one) => (best && best.distance >= one.distance ? best : one), null);
   }
 
-  // The selected UGV with its estimate, in whichever corner is free; the upper left one has the buttons.
+  // Draw the close-up in a free corner, except the upper left one, which holds the buttons.
   draw(c, view) {
     const { truth, colors, now, vehicles } = this.store;
     const escort = this.selectedEscort();
@@ -46,8 +46,8 @@ export class CloseUp {
     this.shown = escort.ugv;
     const off = Math.hypot(escort.report.estimate[0] - ugv.position[0], escort.report.estimate[1] - ugv.position[1]);
     const wanted = Math.max(0.25, 1.5 * off, 3 * Math.sqrt(Math.max(escort.report.covariance[0], escort.report.covariance[2])));
-    this.reach = [0.25, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000].find((r) => r >= wanted) || wanted;
-    const scale = side / 2 / this.reach;
+    this.range = [0.25, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000].find((r) => r >= wanted) || wanted;
+    const scale = side / 2 / this.range;
     const inner = {
       X: (px) => x + side / 2 + (px - ugv.position[0]) * scale,
       Y: (py) => y + side / 2 - (py - ugv.position[1]) * scale,
@@ -73,7 +73,7 @@ export class CloseUp {
     this.ground.drawDetections(c, inner, 2.2);
     this.ground.mark(c, inner.X(ugv.position[0]), inner.Y(ugv.position[1]), 5, escort.ugv, false);
     this.ground.drawEstimates(c, inner, 7);
-    const bar = [200, 100, 50, 20, 10, 5, 2, 1, 0.5, 0.2, 0.1].find((length) => length <= this.reach * 0.55) || this.reach / 2;
+    const bar = [200, 100, 50, 20, 10, 5, 2, 1, 0.5, 0.2, 0.1].find((length) => length <= this.range * 0.55) || this.range / 2;
     c.fillStyle = colors.ink;
     c.fillRect(x + 9, y + side - 12, bar * scale, 2);
     c.font = `10px ${FONT}`;
@@ -81,7 +81,7 @@ export class CloseUp {
     c.textBaseline = "alphabetic";
     c.fillText(`${bar >= 1 ? bar : bar * 100} ${bar >= 1 ? "m" : "cm"}`, x + 9 + bar * scale + 5, y + side - 7);
     c.fillStyle = colors.muted;
-    c.fillText(side < 120 ? escort.ugv : `close-up of ${escort.ugv}`, x + 9, y + 15);
+    c.fillText(side < 120 ? escort.ugv : `Close-up of ${escort.ugv}`, x + 9, y + 15);
     c.restore();
   }
 }

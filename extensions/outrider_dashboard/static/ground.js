@@ -1,4 +1,4 @@
-// The map: ground, tracks, vehicles with their names, goals, the limits of sight, and a close-up.
+// Map: ground, paths, vehicles and their names, goals, visibility radii, close-up.
 
 import { FONT, colorOf, fit, paint, ticks } from "./canvas.js";
 import { CloseUp } from "./close_up.js";
@@ -7,9 +7,9 @@ import { Labels } from "./labels.js";
 import { colorOfVehicle } from "./legends.js";
 
 const KEPT_DETECTIONS = 40;
-const CLOSEST = 4; // so much ground is shown at least [m]
-const TOUCH = 22; // a hand that points nearer to a vehicle than this means it [px]
-const FOLLOWED = 4.4; // how many r_v are shown around a UGV that is followed
+const CLOSEST = 4; // smallest section of the area shown [m]
+const TOUCH = 22; // a click within this distance selects a vehicle [px]
+const FOLLOWED = 4.4; // width of the section shown around a followed vehicle [r_v]
 
 export class Ground {
   constructor(canvas, store) {
@@ -21,12 +21,12 @@ export class Ground {
     this.labels = new Labels();
     this.map = null;
     this.closeUp = new CloseUp(this, store);
-    this.zoom = 1; // of the ground's whole width
-    this.middle = null; // of what is shown [m]; null: of the ground
+    this.zoom = 1; // 1: the whole area
+    this.middle = null; // center of the section shown [m]; null: of the area
     this.follows = false;
   }
 
-  // Show more or less of the ground; what is at this place of the picture stays there.
+  // Zoom by a factor, around a point of the canvas.
   magnify(factor, at = null) {
     const area = this.area();
     const most = Math.max(1, Math.min(area.width, area.height) / CLOSEST);
@@ -42,7 +42,7 @@ export class Ground {
     if (this.zoom === 1) this.middle = null;
   }
 
-  // Move what is shown by so many pixels; whoever does so follows nobody.
+  // Move the section shown by a number of pixels, and stop following.
   drag(dx, dy) {
     const view = this.view;
     if (!view || this.zoom === 1) return;
@@ -51,7 +51,7 @@ export class Ground {
     this.middle = [cx - dx / view.scale, cy + dy / view.scale];
   }
 
-  // Keep the UGV in the middle, near enough to see the limit of sight around it.
+  // Keep the selected vehicle in the center, zoomed in to its visibility radius.
   follow(wanted) {
     const { geometry } = this.store;
     this.follows = wanted;
@@ -64,7 +64,7 @@ export class Ground {
     [this.zoom, this.middle, this.follows] = [1, null, false];
   }
 
-  // Left and lower edge of what is shown [m], and how much that is; nothing beyond the ground while that can be helped.
+  // Return the left and lower edge and the size of the section shown [m], kept inside the area.
   window(area) {
     const { truth, selected } = this.store;
     const [width, height] = [area.width / this.zoom, area.height / this.zoom];
@@ -75,20 +75,20 @@ export class Ground {
     return { left: within(x - width / 2, area.width - width), bottom: within(y - height / 2, area.height - height), width, height };
   }
 
-  // Take a coverage map.
-  takeMap(map) {
+  // Update the coverage map.
+  setMap(map) {
     this.map = map;
     paint(this.image, map, map.cells, this.store.shades);
     this.size = { width: map.columns * map.cell, height: map.rows * map.cell };
   }
 
-  // The colours have changed.
+  // Redraw the images in the colors of the current theme.
   repaint() {
-    if (this.map) this.takeMap(this.map);
+    if (this.map) this.setMap(this.map);
     this.hazards.repaint();
   }
 
-  // The vehicle at a place of the picture; empty: none is near.
+  // Return the vehicle at a point of the canvas; empty if none is near.
   vehicleAt(x, y) {
     const { truth } = this.store;
     const { view } = this;
@@ -110,7 +110,7 @@ export class Ground {
     const { context: c, width, height } = fit(this.canvas);
     const { colors } = this.store;
     const area = this.area();
-    const small = width < 400; // a phone: no room for the axes' names
+    const small = width < 400; // a phone has no space for axis labels
     const [left, right, top, bottom] = small ? [28, 8, 6, 20] : [46, 10, 8, 40];
     this.shape((width / (((width - left - right) * area.height) / area.width + top + bottom)).toFixed(3));
     if (width < 80 || height < 80) return;
@@ -148,13 +148,13 @@ export class Ground {
     this.drawNames(c, view);
   }
 
-  // The buttons lie on the map's upper left corner, wherever that is.
+  // Place the buttons at the upper left corner of the map.
   placeTools(left, top) {
     const { style } = this.tools;
     [style.left, style.top] = [`${Math.round(left)}px`, `${Math.round(top)}px`];
   }
 
-  // Where the layout leaves the height open, it follows from the area's.
+  // Set the aspect ratio, from which a layout without fixed height derives it.
   shape(aspect) {
     if (this.aspect === aspect || !(aspect > 0)) return;
     this.aspect = aspect;
@@ -331,7 +331,7 @@ export class Ground {
   }
 }
 
-// Keep what was detected as points on the ground, the newest last.
+// Append the detections as points on the ground, the newest last.
 export function keepDetections(kept, truth) {
   for (const escort of truth.escorts) {
     const uav = truth.vehicles[escort.uav];
@@ -348,7 +348,7 @@ function ring(c, x, y, radius, filled = false) {
   c.stroke();
 }
 
-// The ellipse of a covariance (xx, xy, yy), `scale` pixels per standard deviation of 1 m.
+// Draw the ellipse of a covariance (xx, xy, yy), with `scale` pixels per standard deviation of 1 m.
 function ellipse(c, x, y, [xx, xy, yy], scale) {
   const mean = (xx + yy) / 2;
   const spread = Math.hypot((xx - yy) / 2, xy);
@@ -356,6 +356,6 @@ function ellipse(c, x, y, [xx, xy, yy], scale) {
   const major = Math.sqrt(Math.max(mean + spread, 0)) * scale;
   const minor = Math.sqrt(Math.max(mean - spread, 0)) * scale;
   c.beginPath();
-  c.ellipse(x, y, major, minor, -angle, 0, 2 * Math.PI); // the canvas' y points down
+  c.ellipse(x, y, major, minor, -angle, 0, 2 * Math.PI); // the y axis of the canvas points down
   c.stroke();
 }

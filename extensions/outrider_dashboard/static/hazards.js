@@ -1,12 +1,12 @@
-// The ground with hazards: a veil over what the UGVs do not know, and the hazards on it; unknown ones are faint.
+// Hazards and a veil over the ground unknown to the UGVs; unknown hazards are faint.
 
 import { paint, pixel } from "./canvas.js";
 import { colorOfVehicle } from "./legends.js";
 
-const HATCH = 7; // between two lines on rough ground [px]
-const [UNKNOWN, HIT] = [0, 2]; // states of a hazard; 1: a UGV knows of it
+const HATCH = 7; // spacing of the hatching on rough ground [px]
+const [UNKNOWN, HIT] = [0, 2]; // states of a hazard; 1: known to a UGV
 
-// The centre of the rectangle around a polygon.
+// Return the center of the bounding box of a polygon.
 const middle = (corners) =>
   [0, 1].map((axis) => {
     const values = corners.map((corner) => corner[axis]);
@@ -20,14 +20,14 @@ export class Hazards {
     this.map = null;
   }
 
-  // The colours have changed.
+  // Redraw the image in the colors of the current theme.
   repaint() {
     this.pattern = null;
-    if (this.map) this.take(this.map);
+    if (this.map) this.setMap(this.map);
   }
 
-  // Take what observers are told of the ground.
-  take(map) {
+  // Update the ground map of the observers.
+  setMap(map) {
     const { tiles } = this.store.colors;
     paint(this.image, map, map.tiles, Uint32Array.from(tiles, ([color, opacity]) => pixel(color, opacity)));
     this.map = map;
@@ -47,7 +47,7 @@ export class Hazards {
     for (const [name, route] of Object.entries(map.routes)) this.drawRoute(c, view, name, route);
   }
 
-  // The way that a UGV plans.
+  // Draw the planned route of a UGV.
   drawRoute(c, { X, Y }, name, route) {
     c.beginPath();
     for (const [x, y] of route) c.lineTo(X(x), Y(y));
@@ -105,8 +105,8 @@ export class Hazards {
 function star(c, x, y, size) {
   c.beginPath();
   for (let k = 0; k < 10; k += 1) {
-    const [angle, reach] = [(Math.PI * k) / 5 - Math.PI / 2, k % 2 ? 0.42 * size : size];
-    c.lineTo(x + reach * Math.cos(angle), y + reach * Math.sin(angle));
+    const [angle, radius] = [(Math.PI * k) / 5 - Math.PI / 2, k % 2 ? 0.42 * size : size];
+    c.lineTo(x + radius * Math.cos(angle), y + radius * Math.sin(angle));
   }
   c.closePath();
 }

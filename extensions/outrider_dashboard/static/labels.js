@@ -1,11 +1,11 @@
-// Names beside their marks, placed so that none covers another name, a mark, or what else lies on the picture.
+// Names of the vehicles, placed without overlap of other names, markers and boxes.
 
 import { FONT } from "./canvas.js";
 
 const SIZE = 11;
 const HEIGHT = 13;
-const NEAR = [10, 20, 32, 46]; // between a mark's middle and its name [px]
-const WAYS = [
+const NEAR = [10, 20, 32, 46]; // between the center of a marker and its name [px]
+const DIRECTIONS = [
   [1, 0.5],
   [1, -0.5],
   [-1, 0.5],
@@ -16,10 +16,10 @@ const WAYS = [
 
 export class Labels {
   constructor() {
-    this.last = new Map(); // the way that each name went last: names do not jump without need
+    this.last = new Map(); // last position of each name, to prevent jumps
   }
 
-  // Write the names of marks {name, x, y} into a frame {x, y, w, h}, off these boxes.
+  // Write the names of marks {name, x, y} inside a frame {x, y, w, h}, outside the boxes `taken`.
   draw(c, marks, frame, taken, { ink, halo }) {
     const boxes = [...taken];
     c.font = `${SIZE}px ${FONT}`;
@@ -45,22 +45,22 @@ export class Labels {
 
   place(name, x, y, w, frame, boxes) {
     const last = this.last.get(name) || 0;
-    const ways = [last, ...NEAR.flatMap((_, n) => WAYS.map((_way, k) => n * WAYS.length + k))];
+    const positions = [last, ...NEAR.flatMap((_, n) => DIRECTIONS.map((_direction, k) => n * DIRECTIONS.length + k))];
     let best = null;
-    for (const way of ways) {
-      const [gap, [right, down]] = [NEAR[Math.floor(way / WAYS.length)], WAYS[way % WAYS.length]];
+    for (const position of positions) {
+      const [gap, [right, down]] = [NEAR[Math.floor(position / DIRECTIONS.length)], DIRECTIONS[position % DIRECTIONS.length]];
       const box = { x: x - w / 2 + right * (gap + w / 2), y: y - HEIGHT / 2 + down * (gap + HEIGHT / 2), w, h: HEIGHT };
       const cost = boxes.reduce((sum, other) => sum + overlap(box, other), 0) + 10 * outside(box, frame);
-      if (!best || cost < best.cost) best = { cost, way, box };
+      if (!best || cost < best.cost) best = { cost, position, box };
       if (cost === 0) break;
     }
-    this.last.set(name, best.way);
+    this.last.set(name, best.position);
     return best.box;
   }
 }
 
-function around({ x, y }, reach) {
-  return { x: x - reach, y: y - reach, w: 2 * reach, h: 2 * reach };
+function around({ x, y }, margin) {
+  return { x: x - margin, y: y - margin, w: 2 * margin, h: 2 * margin };
 }
 
 function leader(c, x, y, box, ink) {

@@ -1,4 +1,4 @@
-// The legends of map and charts: an entry for each vehicle and each kind of line.
+// Legends of map and charts.
 
 import { colorOf } from "./canvas.js";
 import { $, escapeText, setHtml } from "./dom.js";
@@ -24,7 +24,7 @@ function mark(shape, color, name) {
   return { html: `<span><i class="${shape}"></i>${escapeText(name)}</span>`, color, shape };
 }
 
-// The page's policy allows no style in the text: the colours are set afterwards.
+// Set the colors afterwards: the page's security policy allows no inline style attributes.
 function setSwatches(place, marks) {
   setHtml(place, marks.map(({ html }) => html).join(""));
   marks.forEach(({ color, shape }, k) => {

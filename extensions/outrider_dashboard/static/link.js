@@ -1,19 +1,19 @@
-// The channel to the dashboard's process: frames in, words out. Opens again whenever it was closed.
+// WebSocket to the dashboard process; reconnects when it is closed.
 
-const QUIET = 3000; // so long an open channel may bring no frame [ms]
-const PATIENCE = 4000; // so long an answer over HTTP may take [ms]
+const QUIET = 3000; // longest time without a frame on an open WebSocket [ms]
+const PATIENCE = 4000; // timeout of an HTTP request [ms]
 const PROBE = "/static/favicon.svg";
 
-// `onSilence` is called with what is known of the fault, whenever no frame comes: `websocket` (the dashboard answers
-// over HTTP alone), `refused` (it answers, and does not admit this page), `silent` (it does not answer), `still` (the
-// channel is open, and brings nothing).
+// Connect; `onSilence` is called with the fault when no frames arrive: `websocket` (the dashboard answers over HTTP
+// only), `rejected` (it does not admit this page), `silent` (it does not answer), `still` (the WebSocket is open, but
+// carries no frames).
 export function openLink({ onHello, onFrame, onSilence }) {
   let socket = null;
   let wait = 250;
   let heard = performance.now();
 
-  function say(word) {
-    if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(word));
+  function send(message) {
+    if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
   }
 
   function open() {
@@ -37,33 +37,33 @@ export function openLink({ onHello, onFrame, onSilence }) {
     };
   }
 
-  document.addEventListener("visibilitychange", () => (heard = performance.now())); // a hidden page gets no frames
+  document.addEventListener("visibilitychange", () => (heard = performance.now())); // a hidden page receives no frames
   setInterval(() => {
     const open = socket && socket.readyState === WebSocket.OPEN;
     if (open && !document.hidden && performance.now() - heard > QUIET) onSilence("still");
   }, 500);
 
   open();
-  setInterval(() => say({ kind: "here" }), 1000);
-  return { say };
+  setInterval(() => send({ kind: "here" }), 1000);
+  return { send };
 }
 
 async function probe() {
   try {
     const answer = await fetch(PROBE, { method: "HEAD", cache: "no-store", signal: AbortSignal.timeout(PATIENCE) });
-    return answer.ok ? "websocket" : answer.status === 401 ? "refused" : "silent";
+    return answer.ok ? "websocket" : answer.status === 401 ? "rejected" : "silent";
   } catch {
     return "silent";
   }
 }
 
-// What a user is told of a fault.
+// Return the message for a fault.
 export function explain(fault) {
   const channel = `ws${location.protocol === "https:" ? "s" : ""}://${location.host}/frames`;
   return {
-    websocket: `No frames come: the dashboard answers over HTTP, but the WebSocket ${channel} does not stay open. If a proxy is in between, it must pass WebSocket upgrades. Trying again.`,
-    refused: "The dashboard no longer admits this page. Reload it, and enter the token.",
-    silent: "The dashboard's own process does not answer. Waiting for it.",
-    still: `No frames come, although the WebSocket ${channel} is open. Waiting for them.`,
+    websocket: `No data: the dashboard answers over HTTP, but the WebSocket ${channel} does not stay open. A proxy must forward WebSocket upgrades. Reconnecting.`,
+    rejected: "The dashboard no longer accepts this page. Reload it with the current token.",
+    silent: "The dashboard process does not answer. Reconnecting.",
+    still: `No data, although the WebSocket ${channel} is open. Waiting for the dashboard.`,
   }[fault];
 }

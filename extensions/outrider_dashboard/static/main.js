@@ -1,4 +1,4 @@
-// The page's own part: it keeps what the frames bring, and shows it.
+// Entry point of the page: stores the received frames and shows them.
 
 import { pixel } from "./canvas.js";
 import { Charts } from "./charts.js";
@@ -9,9 +9,9 @@ import { explain, openLink } from "./link.js";
 import { MapTools } from "./map_tools.js";
 import { useMetrics } from "./metrics.js";
 import { canAct, showState } from "./panels.js";
+import { Teleoperation } from "./teleoperation.js";
 import { isDark, watchTheme } from "./theme.js";
 import { buildTiles, showTiles, showWarnings } from "./tiles.js";
-import { Wheel } from "./wheel.js";
 
 const CHART_PERIOD = 150;
 const store = {
@@ -29,53 +29,53 @@ const store = {
   escorts: [],
   uavs: [],
   ugvs: [],
-  selected: "", // the vehicle that close-up and follow show
+  selected: "", // vehicle for close-up and follow
   detections: [],
   state: null,
   steer: false,
-  said: null,
+  linkTexts: null,
 };
 const stats = { frames: 0, rate: 0 };
 
-// NiceGUI builds the page after this file has loaded.
+// Wait for the page: NiceGUI builds it after this file has loaded.
 function whenBuilt(then) {
   if ($("map") && $("chart-factor") && $("processes")) then();
   else setTimeout(() => whenBuilt(then), 30);
 }
 
-function takeHello({ colors, steer, metrics, reasons }, ground) {
+function applyHello({ colors, steer, metrics, reasons }, ground) {
   useMetrics(metrics, reasons);
   buildTiles();
   store.steer = steer;
   store.palettes = colors;
-  takeColors(ground);
+  applyColors(ground);
 }
 
-function takeColors(ground) {
+function applyColors(ground) {
   if (!store.palettes) return;
   store.colors = store.palettes[isDark() ? "dark" : "light"];
   store.shades = Uint32Array.from(store.colors.covered, (color) => pixel(color));
   ground.repaint();
 }
 
-function takeStatus(status) {
+function applyStatus(status) {
   store.status = status;
   store.geometry = status.geometry || null;
 }
 
-// What stays while a run is flown: the same as in every other picture of it.
-function takeScene(scene) {
+// Store the parts of the scene that stay constant during a run.
+function applyScene(scene) {
   const inner = scene.rings.find(({ symbol }) => symbol === "r_s");
   const names = (flies) => scene.vehicles.filter((one) => one.flies === flies).map(({ name }) => name);
   Object.assign(store, { scene, innerRadius: inner ? inner.radius : null, uavs: names(true), ugvs: names(false) });
   if (!scene.vehicles.some(({ name }) => name === store.selected)) store.selected = store.ugvs[0] || store.uavs[0] || "";
 }
 
-function take(frame, ground) {
+function applyFrame(frame, ground) {
   store.state = frame.state;
-  if (frame.status) takeStatus(frame.status);
-  if (frame.scene) takeScene(frame.scene);
-  if (frame.links) store.said = frame.links;
+  if (frame.status) applyStatus(frame.status);
+  if (frame.scene) applyScene(frame.scene);
+  if (frame.links) store.linkTexts = frame.links;
   if (frame.history) {
     store.rows = [];
     store.vehicles = frame.history.vehicles;
@@ -88,16 +88,16 @@ function take(frame, ground) {
     store.truth = frame.truth;
     store.now = frame.now;
   }
-  if (frame.map) ground.takeMap(frame.map);
-  if (frame.ground) ground.hazards.take(frame.ground);
+  if (frame.map) ground.setMap(frame.map);
+  if (frame.ground) ground.hazards.setMap(frame.ground);
 }
 
-// What is known while no frame comes.
-function lost(fault) {
+// Return the state shown while no frames arrive.
+function disconnected(fault) {
   const ended = store.status && store.status.over && fault !== "still" && !(store.state && store.state.replay);
-  const line = "The run is over, and so is its page: nothing here can be steered any more. What it shows stays.";
-  const told = ended && fault === "silent" ? { level: "info", line } : { level: "bad", line: explain(fault) };
-  return { ...(store.state || {}), ...told, browsers: 1, wheel: "free", gone: true, router: null, simulator: null };
+  const line = "The run is over and its dashboard has stopped. The page shows the final state.";
+  const banner = ended && fault === "silent" ? { level: "info", line } : { level: "bad", line: explain(fault) };
+  return { ...(store.state || {}), ...banner, browsers: 1, control: "free", disconnected: true, router: null, simulator: null };
 }
 
 whenBuilt(() => {
@@ -117,7 +117,7 @@ whenBuilt(() => {
     const frames = pending;
     pending = [];
     try {
-      for (const frame of frames) take(frame, ground);
+      for (const frame of frames) applyFrame(frame, ground);
       ground.draw();
       const time = performance.now();
       if (time - chartsDrawn > CHART_PERIOD) {
@@ -128,25 +128,25 @@ whenBuilt(() => {
       times = [...times, ...frames.map(() => time)].filter((t) => time - t < 2000);
       stats.rate = times.length / 2;
       if (!frames.length) return;
-      showState(store, stats, wheel);
+      showState(store, stats, teleoperation);
       showWarnings(store.status);
       showLegends(store);
-      tools.offer();
+      tools.listVehicles();
     } finally {
       stats.frames += frames.length;
-      for (const _ of frames) link.say({ kind: "drawn" });
+      for (const _ of frames) link.send({ kind: "drawn" });
     }
   };
   const ask = () => {
     if (!asked && store.colors) {
       asked = true;
-      requestAnimationFrame(draw); // not in a hidden page: it gets no more frames until it is looked at
+      requestAnimationFrame(draw); // not called in a hidden page, which receives no frames until it is visible
     }
   };
   const link = openLink({
     onHello: (hello) => {
       pending = [];
-      takeHello(hello, ground);
+      applyHello(hello, ground);
     },
     onFrame: (frame) => {
       pending.push(frame);
@@ -154,33 +154,33 @@ whenBuilt(() => {
     },
     onSilence: (fault) => {
       pending = [];
-      store.state = lost(fault);
-      showState(store, stats, wheel);
+      store.state = disconnected(fault);
+      showState(store, stats, teleoperation);
     },
   });
-  store.state = { ...lost("silent"), level: "", line: "" };
-  const takeWheel = () => {
+  store.state = { ...disconnected("silent"), level: "", line: "" };
+  const takeControl = () => {
     const vehicle = ($("wheel-vehicle") && $("wheel-vehicle").value) || store.ugvs[0] || "";
     if (!store.steer || !vehicle || !canAct(store)) return false;
-    link.say({ kind: "take", vehicle });
+    link.send({ kind: "take", vehicle });
     return true;
   };
-  const wheel = new Wheel(link.say, takeWheel);
+  const teleoperation = new Teleoperation(link.send, takeControl);
   const tools = new MapTools(ground, store, () => {
     ask();
     charts.draw();
   });
   watchTheme($("theme"), () => {
-    takeColors(ground);
+    applyColors(ground);
     if (store.colors) redraw();
   });
   const sizes = new ResizeObserver(() => {
-    if (store.colors) redraw(); // also when no frame comes any more
+    if (store.colors) redraw(); // also without new frames
   });
   for (const canvas of document.querySelectorAll("canvas")) sizes.observe(canvas);
   $("links").addEventListener("click", (event) => {
     const row = event.target.closest("[data-link]");
-    if (row && store.steer) emitEvent("choose_link", row.dataset.link); // NiceGUI's: the form shows this link
+    if (row && store.steer) emitEvent("choose_link", row.dataset.link); // NiceGUI event: the form selects this link
   });
   for (const button of document.querySelectorAll("[data-span]")) {
     button.addEventListener("click", () => {
@@ -189,6 +189,6 @@ whenBuilt(() => {
       charts.draw();
     });
   }
-  showState(store, stats, wheel);
-  window.outrider = { store, stats, ground, take: takeWheel, back: () => link.say({ kind: "back" }) };
+  showState(store, stats, teleoperation);
+  window.outrider = { store, stats, ground, take: takeControl, back: () => link.send({ kind: "back" }) };
 });

@@ -1,9 +1,9 @@
-// Zoom, follow and the choice of a vehicle: buttons, the mouse wheel, a hand that drags or points, and two fingers.
+// Zoom, follow and selection of a vehicle by buttons, mouse wheel, drag, click and pinch.
 
 import { $, escapeText, setHtml } from "./dom.js";
 
 const STEP = 1.5;
-const STILL = 5; // a hand that moves no farther than this points at something [px]
+const STILL = 5; // a pointer that moves no farther is a click [px]
 
 export class MapTools {
   constructor(ground, store, redraw) {
@@ -47,18 +47,18 @@ export class MapTools {
     this.show();
   }
 
-  // Show a vehicle in the close-up, and follow it; the wheel is offered for its UGV.
+  // Select a vehicle for close-up, follow and, through its UGV, operator control.
   select(name) {
     this.change(() => (this.store.selected = name));
-    this.offer();
+    this.listVehicles();
     const pair = this.store.escorts.find(([uav]) => uav === name);
-    const wheel = $("wheel-vehicle");
+    const list = $("wheel-vehicle");
     const ugv = pair ? pair[1] : name;
-    if (wheel && [...wheel.options].some(({ value }) => value === ugv)) wheel.value = ugv;
+    if (list && [...list.options].some(({ value }) => value === ugv)) list.value = ugv;
   }
 
-  // Let the list show the vehicles that there are; with two there is nothing to choose.
-  offer() {
+  // List the vehicles; the list is hidden for a single pair.
+  listVehicles() {
     const { scene, selected } = this.store;
     const names = scene ? scene.vehicles.map(({ name }) => name) : [];
     const list = $("map-vehicle");
@@ -73,7 +73,7 @@ export class MapTools {
     this.redraw();
   }
 
-  // One finger moves what is shown, two magnify it.
+  // Drag with one finger, zoom with two.
   move(event) {
     const before = this.fingers.get(event.pointerId);
     if (!before) return;
@@ -89,7 +89,7 @@ export class MapTools {
     this.change(() => this.ground.magnify(apart(now) / apart(before), between));
   }
 
-  // A finger on the whole ground scrolls the page; on a part of it, it moves the map.
+  // A finger scrolls the page while the whole area is shown, and otherwise moves the map.
   show() {
     const { canvas, zoom, follows } = this.ground;
     canvas.style.touchAction = zoom > 1 ? "none" : "pan-x pan-y";

@@ -1,4 +1,4 @@
-// Tables of the simulator's side: labels, units, digits and meanings of all numbers, and texts of reasons.
+// Labels, units, digits and descriptions of all metrics, and texts of reasons, sent by the server.
 
 import { known } from "./dom.js";
 
@@ -13,10 +13,10 @@ export function useMetrics(found, texts) {
 export const rowsOf = (table) => [...(tables[table] || new Map()).values()];
 export const metric = (table, name) => tables[table].get(name);
 
-// Plain English for the name of a reason why nothing is certified.
+// Return the text of a reason why visibility is not certified.
 export const textOfReason = (name) => reasons[name] || name;
 
-// A value as it is shown, without its unit; shares in per cent.
+// Format a value without its unit; shares as percentages.
 export function numberOf({ unit, digits }, value) {
   return known(value) ? (unit === "%" ? 100 * value : value).toFixed(digits) : "–";
 }

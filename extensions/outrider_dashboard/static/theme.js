@@ -1,39 +1,39 @@
-// Light or dark: as the system has it, until the user chooses.
+// Light or dark theme: the system's, unless the user chooses one.
 
 const KEY = "outrider-colours";
 const CHOICES = ["auto", "dark", "light"];
 const SIGNS = { auto: "◐", dark: "☾", light: "☀" };
-const SAID = { auto: "as the system's", dark: "dark", light: "light" };
+const LABELS = { auto: "system", dark: "dark", light: "light" };
 
 export const isDark = () => document.body.classList.contains("body--dark");
 
-// Watch the choice; `onChange` is called whenever the page has turned light or dark.
+// Apply the chosen theme; call `onChange` whenever the page turns light or dark.
 export function watchTheme(button, onChange) {
   let choice = stored();
   const apply = () => {
     Quasar.Dark.set(choice === "auto" ? "auto" : choice === "dark"); // global, as NiceGUI loads it
     button.textContent = SIGNS[choice];
-    button.title = `Colours: ${SAID[choice]}. Press for the next choice.`;
-    button.setAttribute("aria-label", `colours: ${SAID[choice]}`);
+    button.title = `Theme: ${LABELS[choice]}. Click to change.`;
+    button.setAttribute("aria-label", `Theme: ${LABELS[choice]}`);
   };
   button.addEventListener("click", () => {
     choice = CHOICES[(CHOICES.indexOf(choice) + 1) % CHOICES.length];
     try {
       localStorage.setItem(KEY, choice);
     } catch {
-      // a browser without storage forgets the choice
+      // without local storage the choice is not saved
     }
     apply();
   });
   let dark = null;
-  const look = () => {
+  const check = () => {
     if (dark === isDark()) return;
     dark = isDark();
     onChange();
   };
-  new MutationObserver(look).observe(document.body, { attributes: true, attributeFilter: ["class"] });
+  new MutationObserver(check).observe(document.body, { attributes: true, attributeFilter: ["class"] });
   apply();
-  look();
+  check();
 }
 
 function stored() {

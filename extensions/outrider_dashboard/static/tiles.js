@@ -1,12 +1,12 @@
-// The numbers above the map: of the worst pair, where there are several.
+// Tiles above the map; with several pairs they show the worst one.
 
 import { PER_ESCORT } from "./charts.js";
 import { $, escapeText, known, setHtml, setText, setTitle } from "./dom.js";
 import { metric, numberOf, rowsOf, textOf, textOfReason } from "./metrics.js";
 
-// Metrics of the mission that have a tile; the others are told beside one of these.
+// Mission metrics with their own tile; the others are shown in one of these.
 const MISSION = ["mission_time", "hazards_hit", "hazards_on_path", "reported_share", "ground_certified_share", "stationary_time", "found"];
-const OF_SEVERAL = { max: "; of several pairs the largest", min: "; of several pairs the smallest" };
+const OF_SEVERAL = { max: " (largest of all pairs)", min: " (smallest of all pairs)" };
 
 const tileOf = ({ name, label, unit }) =>
   `<div class="tile" id="tile-${name}"><label>${escapeText(label)}</label><output>–</output><small>${escapeText(unit)}</small><div class="pair"></div></div>`;
@@ -16,7 +16,7 @@ export function buildTiles() {
   setHtml(document.querySelector(".tiles.mission"), MISSION.map((name) => tileOf(metric("mission", name))).join(""));
 }
 
-// Show a metric in its tile; the text, if it is given, instead of a number.
+// Show a metric in its tile, as a text if one is given.
 function show(row, value, { text = null, unit = row.unit, note = "", bad = false, which = "", more = [] } = {}) {
   const tile = $(`tile-${row.name}`);
   setText(tile.querySelector("output"), text === null ? numberOf(row, value) : text);
@@ -26,15 +26,15 @@ function show(row, value, { text = null, unit = row.unit, note = "", bad = false
   setTitle(tile, [`${row.meaning.replace(/\.$/, "")}${which}.`, ...more].join("\n"));
 }
 
-// What the safety filters say: certified, acting, or why nothing can be promised.
+// Return the state of the certificates and the reasons of those that are missing.
 function certificateOf(truth) {
   const watched = (truth ? truth.escorts : []).filter(({ report }) => report && report.decision);
   const broken = watched.filter(({ report }) => report.decision.reason);
   const reasons = broken.map(({ uav, report }) => `${uav} is not certified: ${textOfReason(report.decision.reason)}`);
-  if (!watched.length) return { words: "", reasons };
-  if (!broken.length) return { words: watched.some(({ report }) => report.decision.source !== "NOMINAL") ? "filter acts" : "certified", reasons };
+  if (!watched.length) return { text: "", reasons };
+  if (!broken.length) return { text: watched.some(({ report }) => report.decision.source !== "NOMINAL") ? "filter active" : "certified", reasons };
   const whose = truth.escorts.length < 2 ? "" : broken.length > 1 ? `: ${broken.length} UAVs` : `: ${broken[0].uav}`;
-  return { words: `not certified${whose}`, reasons };
+  return { text: `not certified${whose}`, reasons };
 }
 
 export function showTiles({ now, vehicles, escorts, geometry, status, truth, state }) {
@@ -45,49 +45,49 @@ export function showTiles({ now, vehicles, escorts, geometry, status, truth, sta
   if (!now) return;
   const several = escorts.length > 1;
   const column = (which) => escorts.map((_, k) => now[2 + 2 * vehicles.length + PER_ESCORT * k + which]);
-  const showWorst = (name, values, { words = "", unsure = [] } = {}) => {
+  const showWorst = (name, values, { text = "", unsure = [] } = {}) => {
     const row = of(name);
     const found = values.filter(known);
     const worst = !found.length ? null : row.total === "min" ? Math.min(...found) : Math.max(...found);
     const pair = several && worst !== null ? escorts[values.indexOf(worst)][0] : "";
-    const each = several ? values.map((value, k) => `${escorts[k].join(" of ")}: ${textOf(row, value)}`) : [];
-    const note = !several ? "" : [unsure.length ? "" : pair, words].filter(Boolean).join(" · ");
+    const each = several ? values.map((value, k) => `${escorts[k].join(" and ")}: ${textOf(row, value)}`) : [];
+    const note = !several ? "" : [unsure.length ? "" : pair, text].filter(Boolean).join(" · ");
     const bad = name === "margin" && worst !== null && worst < 0;
-    show(row, worst, { unit: words && !several ? `${row.unit} · ${words}` : row.unit, note, bad, which: OF_SEVERAL[row.total], more: [...each, ...unsure] });
+    show(row, worst, { unit: text && !several ? `${row.unit} · ${text}` : row.unit, note, bad, which: OF_SEVERAL[row.total], more: [...each, ...unsure] });
   };
-  const { words, reasons } = certificateOf(truth);
+  const { text, reasons } = certificateOf(truth);
   const margins = column(0).map((distance) => (geometry && known(distance) ? geometry.visibility_radius - distance : null));
   showWorst("distance", column(0));
-  showWorst("margin", margins, { words, unsure: reasons });
+  showWorst("margin", margins, { text, unsure: reasons });
   $("tile-margin").classList.toggle("unsure", reasons.length > 0);
   showWorst("coverage_error", column(1));
   showWorst("estimate_error", column(2));
 }
 
-// How the UGVs get through ground with hazards; without any there are no such tiles.
+// Show the mission tiles; runs without hazards have none.
 function showMission(status) {
-  const told = (status && status.mission) || null;
-  document.body.classList.toggle("hazards", Boolean(told));
-  if (!told) return;
+  const mission = (status && status.mission) || null;
+  document.body.classList.toggle("hazards", Boolean(mission));
+  if (!mission) return;
   const of = (name) => metric("mission", name);
-  const beside = (name) => `${of(name).label} ${textOf(of(name), told[name])}`;
+  const beside = (name) => `${of(name).label} ${textOf(of(name), mission[name])}`;
   const time = of("mission_time");
-  show(time, told.mission_time, known(told.mission_time) ? {} : { text: "not yet", unit: "" });
-  show(of("hazards_hit"), told.hazards_hit, { unit: told.near_misses ? `nearly ${told.near_misses}` : "", bad: told.hazards_hit > 0 });
-  const before = known(told.mean_warning_time) ? `, ${told.mean_warning_time.toFixed(0)} s before` : "";
-  const way = told.hazards_on_path ? `known ${told.warned}${before}` : "";
-  show(of("hazards_on_path"), told.hazards_on_path, { unit: way, more: [beside("warned"), beside("mean_warning_time")] });
-  show(of("reported_share"), told.reported_share);
-  showGuarantees(told, of);
-  show(of("stationary_time"), told.stationary_time);
-  $("tile-found").hidden = !told.finds;
-  show(of("found"), told.found, { unit: `of ${told.finds}` });
+  show(time, mission.mission_time, known(mission.mission_time) ? {} : { text: "not yet", unit: "" });
+  show(of("hazards_hit"), mission.hazards_hit, { unit: mission.near_misses ? `${mission.near_misses} near misses` : "", bad: mission.hazards_hit > 0 });
+  const before = known(mission.mean_warning_time) ? `, ${mission.mean_warning_time.toFixed(0)} s ahead` : "";
+  const warned = mission.hazards_on_path ? `warned ${mission.warned}${before}` : "";
+  show(of("hazards_on_path"), mission.hazards_on_path, { unit: warned, more: [beside("warned"), beside("mean_warning_time")] });
+  show(of("reported_share"), mission.reported_share);
+  showGuarantees(mission, of);
+  show(of("stationary_time"), mission.stationary_time);
+  $("tile-found").hidden = !mission.finds;
+  show(of("found"), mission.found, { unit: `of ${mission.finds}` });
 }
 
-// How much of the time cautious UGVs were certified to stay on tiles that they know; of bold ones nothing is claimed.
-function showGuarantees(told, of) {
+// Show the share of ticks in which cautious UGVs were certified to stay on known tiles; bold UGVs have no certificate.
+function showGuarantees(mission, of) {
   const row = of("ground_certified_share");
-  const guarantees = Object.entries(told.guarantees).filter(([, one]) => one.ticks);
+  const guarantees = Object.entries(mission.guarantees).filter(([, one]) => one.ticks);
   const sum = (name) => guarantees.reduce((total, [, one]) => total + one[name], 0);
   const each = guarantees.map(([name, one]) => {
     const reasons = Object.entries(one.uncertified).map(([reason, count]) => `; ${reason}: ${count} ticks`);
@@ -102,11 +102,11 @@ function showGuarantees(told, of) {
   show(row, sum("ticks") ? sum("certified") / sum("ticks") : null, { note, bad: counted.length > 0, more: each });
 }
 
-// Which assumptions of the certificate the links cannot keep as they are now; an operator may just have changed one.
+// Show the assumptions of the certificate violated by the current settings of the links.
 export function showWarnings(status) {
   const lines = (status && status.warnings) || [];
   const details = $("promise");
   details.hidden = !lines.length;
-  setText(details.querySelector("summary"), `What the certificate assumes, and what the links make of it (${lines.length})`);
+  setText(details.querySelector("summary"), `Violated assumptions of the certificate (${lines.length})`);
   setHtml(details.querySelector("div"), lines.map((line) => `<p>${escapeText(line)}</p>`).join(""));
 }

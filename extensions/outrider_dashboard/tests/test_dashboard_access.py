@@ -20,7 +20,7 @@ from bus.errors import ScenarioError
 from outrider_dashboard.address import address_of, choose_token, open_socket
 from outrider_dashboard.app import application
 from outrider_dashboard.hub import Hub
-from outrider_dashboard.page_guard import MOST_WAITING, Guard
+from outrider_dashboard.page_guard import MAX_PENDING, Guard
 from outrider_dashboard.sources.protocol import SourceState
 from processes import free_port, wait_until
 
@@ -316,7 +316,7 @@ def test_a_slow_head_within_the_bounds_is_served() -> None:
 
 def test_only_the_oldest_idle_connection_makes_room() -> None:
     with served() as server, contextlib.ExitStack() as stack:
-        idle = [stack.enter_context(server.connect()) for _ in range(MOST_WAITING)]
+        idle = [stack.enter_context(server.connect()) for _ in range(MAX_PENDING)]
         assert server.status() == 401
         assert ended(idle[0], 5.0) == b""
         idle[-1].sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")

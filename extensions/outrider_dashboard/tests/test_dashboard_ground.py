@@ -9,7 +9,7 @@ import pytest
 from observed import recorded
 from outrider.recording.reader import flight_of, grounds
 from outrider_dashboard.hub import Hub
-from outrider_dashboard.sources.tape import Tape
+from outrider_dashboard.sources.recorded import RecordedRun
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Ground, Hazard, Scenario, Ugv
 from worlds import small
@@ -29,16 +29,16 @@ def course(driver: str) -> Scenario:
 
 def taken_in(path: Path, time: float = 0.0) -> Hub:
     """A hub that has a recording up to this time [s]."""
-    tape = Tape(flight_of(path), 1.0, lambda: 0.0)
+    tape = RecordedRun(flight_of(path), 1.0, lambda: 0.0)
     hub = Hub(tape)
-    hub.take_in()
-    tape.wind(time)
-    hub.take_in()
+    hub.update()
+    tape.seek(time)
+    hub.update()
     return hub
 
 
 def frame_of(hub: Hub) -> Any:
-    return msgspec.json.decode(hub.frame(hub.welcome("127.0.0.1")))
+    return msgspec.json.decode(hub.frame(hub.add_browser("127.0.0.1")))
 
 
 @pytest.mark.parametrize("driver", ["waypoints", "navigate"])
@@ -46,12 +46,12 @@ def test_the_page_is_given_the_ground_and_the_route_as_the_tape_goes_on(driver, 
     recorded(tmp_path / "run.mcap", course(driver), 1)
     *_, last = grounds(tmp_path / "run.mcap", flight=0)
     hub = taken_in(tmp_path / "run.mcap")
-    browser = hub.welcome("127.0.0.1")
+    browser = hub.add_browser("127.0.0.1")
     frame = msgspec.json.decode(hub.frame(browser))
     assert len(frame["ground"]["hazards"]) == len(HAZARDS)
     assert "ground" not in msgspec.json.decode(hub.frame(browser))
     hub = taken_in(tmp_path / "run.mcap", 30.0)
-    frame = msgspec.json.decode(hub.frame(hub.welcome("127.0.0.1")))
+    frame = msgspec.json.decode(hub.frame(hub.add_browser("127.0.0.1")))
     assert frame["ground"]["tick"] == last.tick
     routes = {name: [list(one) for one in route] for name, route in last.routes.items()}
     assert frame["ground"]["routes"] == routes

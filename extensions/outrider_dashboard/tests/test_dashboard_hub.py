@@ -11,9 +11,9 @@ from bus.messages.scenario import Law
 from bus.messages.telemetry import Status
 from bus.messages.vehicle import Teleoperation
 from bus.registry import TELEOP
-from outrider_dashboard.controls.wheel import SharedWheel
+from outrider_dashboard.controls.teleoperation import SharedTeleoperation
 from outrider_dashboard.hub import running_law
-from outrider_dashboard.sources.live import Live
+from outrider_dashboard.sources.live import LiveRun
 from statuses import a_status
 
 FIRST = Law(name="logarithmic", parameters={"speed_gain": 2.0})
@@ -30,7 +30,7 @@ def status(law: str, *controls: Control) -> Status:
     [
         (True, True, ""),
         (True, False, "Waiting for a simulator to join"),
-        (False, True, "The router is away"),
+        (False, True, "The router is disconnected"),
     ],
 )
 def test_a_router_that_is_away_is_not_taken_for_its_simulator(router, simulator, line):
@@ -39,8 +39,8 @@ def test_a_router_that_is_away_is_not_taken_for_its_simulator(router, simulator,
 
     party = Party(role=Role.OBSERVER, name="page")
     session: Any = SimpleNamespace(party=party, connected=router, watch=watch)
-    run = Live(session, read=())
-    state = run.standing
+    run = LiveRun(session, read=())
+    state = run.state
     run.close()
     assert (state.router, state.simulator) == (router, simulator)
     assert state.line.startswith(line)
@@ -68,33 +68,35 @@ def test_a_reset_brings_the_first_law_back() -> None:
 
 def test_an_operator_whom_nobody_here_has_put_at_a_wheel_is_a_stranger() -> None:
     said: list[Control] = []
-    wheel = SharedWheel(lambda control: said.append(control) is None, lambda _name, _drive: True)
-    wheel.follow(a_status(drivers={"ugv_0": "waypoints", "ugv_1": TELEOP}))
-    assert wheel.strangers() == ["ugv_1"]
-    assert wheel.take(1, "browser 1", "ugv_0")
+    wheel = SharedTeleoperation(
+        lambda control: said.append(control) is None, lambda _name, _drive: True
+    )
+    wheel.update(a_status(drivers={"ugv_0": "waypoints", "ugv_1": TELEOP}))
+    assert wheel.other_operators() == ["ugv_1"]
+    assert wheel.take_control(1, "browser 1", "ugv_0")
     operators = {"ugv_0": said[-1].operator}
     taken = a_status(drivers={"ugv_0": TELEOP, "ugv_1": TELEOP}, operators=operators)
-    wheel.follow(taken)
-    assert wheel.strangers() == ["ugv_1"]
+    wheel.update(taken)
+    assert wheel.other_operators() == ["ugv_1"]
     wheel.release()
-    assert wheel.strangers() == ["ugv_1"]
+    assert wheel.other_operators() == ["ugv_1"]
     wheel.hand_back(1)
     assert said[-1].driver == "waypoints"
     # until the simulator has assigned the driver from before
-    assert wheel.strangers() == ["ugv_0", "ugv_1"]
+    assert wheel.other_operators() == ["ugv_0", "ugv_1"]
 
 
 def test_a_wheel_that_another_operator_has_taken_is_not_handed_back() -> None:
     said: list[Control] = []
     driven: list[Teleoperation] = []
-    wheel = SharedWheel(
+    wheel = SharedTeleoperation(
         lambda control: said.append(control) is None, lambda _, drive: driven.append(drive) is None
     )
-    wheel.follow(a_status(drivers={"ugv_0": "waypoints"}))
-    assert wheel.take(1, "browser 1", "ugv_0")
-    wheel.follow(a_status(drivers={"ugv_0": TELEOP}, operators={"ugv_0": "a_terminal"}))
+    wheel.update(a_status(drivers={"ugv_0": "waypoints"}))
+    assert wheel.take_control(1, "browser 1", "ugv_0")
+    wheel.update(a_status(drivers={"ugv_0": TELEOP}, operators={"ugv_0": "a_terminal"}))
     assert not wheel.can_be_handed_back()
     wheel.hand_back(1)
     assert [control.driver for control in said] == [TELEOP]
-    wheel.follow(a_status(drivers={"ugv_0": TELEOP}, over=True))
-    assert not wheel.take(1, "browser 1", "ugv_0")
+    wheel.update(a_status(drivers={"ugv_0": TELEOP}, over=True))
+    assert not wheel.take_control(1, "browser 1", "ugv_0")

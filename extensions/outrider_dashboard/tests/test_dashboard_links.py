@@ -14,18 +14,18 @@ from bus.profiles import PROFILES
 from observed import recorded
 from outrider.recording.reader import flight_of
 from outrider_dashboard.chart_data import ChartData
-from outrider_dashboard.controls.link_words import (
+from outrider_dashboard.controls.link_settings import (
     ALL,
-    chosen,
     controls_for,
-    darkened,
-    said_of_links,
+    describe,
+    describe_links,
+    select_links,
+    with_blackout,
     with_field,
-    words,
 )
-from outrider_dashboard.controls.wheel import SharedWheel
+from outrider_dashboard.controls.teleoperation import SharedTeleoperation
 from outrider_dashboard.hub import Hub
-from outrider_dashboard.sources.tape import Tape
+from outrider_dashboard.sources.recorded import RecordedRun
 from sim.channel.description import check_link
 from sim.scenario.loading import load_scenario
 from sim.scene.known import geometry_of
@@ -51,8 +51,8 @@ def status(time: float, **links: LinkStatus) -> Status:
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_a_profile_is_called_by_its_name_whatever_is_planned(name: str) -> None:
-    assert words(PROFILES[name]) == name
-    assert words(darkened(PROFILES[name], 1.0, 2.0)) == name
+    assert describe(PROFILES[name]) == name
+    assert describe(with_blackout(PROFILES[name], 1.0, 2.0)) == name
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_a_profile_is_called_by_its_name_whatever_is_planned(name: str) -> None:
     ],
 )
 def test_settings_are_said_in_a_few_words(settings: LinkSettings, said: str) -> None:
-    assert words(settings) == said
+    assert describe(settings) == said
 
 
 def test_a_status_is_told_with_the_words_for_its_links_and_for_its_changes() -> None:
@@ -80,7 +80,7 @@ def test_a_status_is_told_with_the_words_for_its_links_and_for_its_changes() -> 
     told = msgspec.structs.replace(
         status(1.0, uav_0__radio=degraded, uav_0__commands=link()), changes=changes
     )
-    assert said_of_links(told) == {
+    assert describe_links(told) == {
         "of": {"uav_0/radio": "loss 10 %", "uav_0/commands": "perfect"},
         "changes": ["", "loss 10 %"],
     }
@@ -90,10 +90,10 @@ def test_a_status_is_told_with_the_words_for_its_links_and_for_its_changes() -> 
 
 
 def test_links_are_chosen_by_kind_and_vehicle() -> None:
-    assert chosen(NAMES, ALL, ALL) == list(NAMES)
-    assert chosen(NAMES, "commands", ALL) == ["uav_0/commands", "ugv_0/commands"]
-    assert chosen(NAMES, ALL, "ugv_0") == ["ugv_0/commands", "ugv_0/operator"]
-    assert chosen(NAMES, "radio", "ugv_0") == []
+    assert select_links(NAMES, ALL, ALL) == list(NAMES)
+    assert select_links(NAMES, "commands", ALL) == ["uav_0/commands", "ugv_0/commands"]
+    assert select_links(NAMES, ALL, "ugv_0") == ["ugv_0/commands", "ugv_0/operator"]
+    assert select_links(NAMES, "radio", "ugv_0") == []
 
 
 def test_a_kind_that_gets_the_same_everywhere_is_one_word_and_what_differs_is_one_each() -> None:
@@ -108,15 +108,15 @@ def test_a_kind_that_gets_the_same_everywhere_is_one_word_and_what_differs_is_on
 
 def test_a_blackout_is_added_to_what_the_link_does_already_and_old_ones_are_dropped() -> None:
     poor = PROFILES["wifi-poor"]
-    dark = darkened(poor, 10.0, 3.0)
+    dark = with_blackout(poor, 10.0, 3.0)
     assert dark == msgspec.structs.replace(poor, blackouts=((10.0, 3.0),))
-    assert darkened(dark, 11.0, 5.0).blackouts == ((10.0, 3.0), (11.0, 5.0))
+    assert with_blackout(dark, 11.0, 5.0).blackouts == ((10.0, 3.0), (11.0, 5.0))
     for k in range(3000):
-        dark = darkened(dark, 20.0 + 2.0 * k, 1.0)
+        dark = with_blackout(dark, 20.0 + 2.0 * k, 1.0)
     assert len(dark.blackouts) < 100
     assert dark.blackouts[-1] == (6018.0, 1.0)
     ahead = LinkSettings(blackouts=((500.0, 9.0),))
-    assert darkened(ahead, 1.0, 1.0).blackouts == ((500.0, 9.0), (1.0, 1.0))
+    assert with_blackout(ahead, 1.0, 1.0).blackouts == ((500.0, 9.0), (1.0, 1.0))
     check_link(dark, "link")
 
 
@@ -141,14 +141,14 @@ def told(history: ChartData, at: float, age: float | None = 0.05) -> tuple[float
 def test_a_row_tells_the_age_the_share_lost_lately_and_a_blackout() -> None:
     history = ChartData()
     assert told(history, 0.0) == (0.05, None, 0.0)
-    history.losses.take(status(0.0, uav_0__detections=link(0), ugv_0__commands=link(0)))
-    history.losses.take(status(1.0, uav_0__detections=link(20, loss=5), ugv_0__commands=link(20)))
+    history.losses.update(status(0.0, uav_0__detections=link(0), ugv_0__commands=link(0)))
+    history.losses.update(status(1.0, uav_0__detections=link(20, loss=5), ugv_0__commands=link(20)))
     assert told(history, 1.0, 0.2) == (0.2, 0.25, 0.0)
-    history.losses.take(
+    history.losses.update(
         status(2.0, uav_0__detections=link(40, loss=5), ugv_0__commands=link(40, blackout=3))
     )
     assert told(history, 2.0) == (0.05, 0.0, 1.0)
-    history.losses.take(
+    history.losses.update(
         status(3.0, uav_0__detections=link(60, loss=5), ugv_0__commands=link(60, blackout=3))
     )
     assert told(history, 3.0, None) == (None, 0.0, 0.0)
@@ -157,22 +157,22 @@ def test_a_row_tells_the_age_the_share_lost_lately_and_a_blackout() -> None:
 def test_a_new_flight_begins_to_count_anew_and_a_status_that_says_nothing_new_changes_nothing():
     history = ChartData()
     for time, sent in ((0.0, 0), (1.0, 100)):
-        history.losses.take(status(time, uav_0__detections=link(sent, blackout=sent)))
+        history.losses.update(status(time, uav_0__detections=link(sent, blackout=sent)))
     assert told(history, 1.0)[1:] == (1.0, 1.0)
-    history.losses.take(status(1.5, uav_0__detections=link(100, blackout=100)))
+    history.losses.update(status(1.5, uav_0__detections=link(100, blackout=100)))
     assert told(history, 1.5)[1:] == (1.0, 1.0)
-    history.losses.take(status(0.1, uav_0__detections=link(2)))
+    history.losses.update(status(0.1, uav_0__detections=link(2)))
     assert told(history, 2.0)[1:] == (None, 0.0)
 
 
 def test_a_recording_that_is_wound_shows_its_blackout_where_it_was(tmp_path: Path) -> None:
     changes = ["duration=30.0", "links.detections.blackouts=[[10.0, 5.0]]"]
     recorded(tmp_path / "run.mcap", load_scenario("escort", overrides=changes))
-    tape = Tape(flight_of(tmp_path / "run.mcap"), 1.0)
+    tape = RecordedRun(flight_of(tmp_path / "run.mcap"), 1.0)
     hub = Hub(tape)
-    hub.take_in()
-    tape.wind(tape.end)
-    hub.take_in()
+    hub.update()
+    tape.seek(tape.end)
+    hub.update()
     dark = [row[0] for row in hub.history.rows if row[-1]]
     assert dark
     assert 9.9 <= min(t for t in dark if t is not None) <= 10.6
@@ -185,15 +185,15 @@ def test_a_recording_that_is_wound_shows_its_blackout_where_it_was(tmp_path: Pat
 
 
 def test_full_deflection_asks_for_the_largest_speed_of_the_vehicle_that_is_driven() -> None:
-    wheel = SharedWheel(lambda _control: True, lambda _name, _drive: True)
+    wheel = SharedTeleoperation(lambda _control: True, lambda _name, _drive: True)
     limits = {
         "ugv_0": Limits(max_speed=0.2, max_acceleration=0.1),
         "ugv_1": Limits(max_speed=None, max_acceleration=None),
     }
     geometry = geometry_of(load_scenario("escort"))
-    wheel.follow(a_status(geometry=msgspec.structs.replace(geometry, limits=limits)))
-    assert wheel.take(1, "browser 1", "ugv_0")
-    assert wheel.full == pytest.approx(0.2)
-    wheel.share = 0.5
-    assert wheel.full == pytest.approx(0.1)
-    assert wheel.top("ugv_1") == wheel.top("unknown") == 1.0
+    wheel.update(a_status(geometry=msgspec.structs.replace(geometry, limits=limits)))
+    assert wheel.take_control(1, "browser 1", "ugv_0")
+    assert wheel.full_speed == pytest.approx(0.2)
+    wheel.speed_share = 0.5
+    assert wheel.full_speed == pytest.approx(0.1)
+    assert wheel.max_speed("ugv_1") == wheel.max_speed("unknown") == 1.0

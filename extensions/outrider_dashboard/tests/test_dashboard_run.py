@@ -196,7 +196,7 @@ def test_a_recording_is_played_into_the_page_and_nobody_can_steer(recording: Pat
             for frame in frames(channel):
                 rows += frame.get("rows", [])
                 maps += "map" in frame
-                assert frame["state"]["wheel"] == "free"
+                assert frame["state"]["control"] == "free"
                 if frame["state"]["replay"]["at"] >= 30.0:
                     break
             assert time.monotonic() - began < 10.0

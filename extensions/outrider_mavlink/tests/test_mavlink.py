@@ -29,7 +29,7 @@ from outrider_mavlink.gateway import (
 )
 from outrider_mavlink.geodesy import geodetic
 from outrider_mavlink.run_gateway import RunGateway
-from outrider_mavlink.udp import MOST_PEERS, UNREADABLE, Address, Network, parse_address
+from outrider_mavlink.udp import MAX_PEERS, UNREADABLE, Address, Network, parse_address
 from sim.scenario.loading import load_scenario
 from sim.scene.known import geometry_of
 from statuses import PRESENT, a_status, a_truth, a_vehicle
@@ -185,7 +185,7 @@ def opened(client):
     gateway.take(status())
     station.gateway = gateway
     gateway.turn(0.0)  # its first word binds its socket
-    station.to = ("127.0.0.1", network._lines[0].socket.getsockname()[1])
+    station.to = ("127.0.0.1", network._links[0].socket.getsockname()[1])
     station.told()
     yield SimpleNamespace(gateway=gateway, station=station, client=client)
     network.close()
@@ -243,9 +243,9 @@ def test_what_is_lost_or_not_certified_is_said_and_so_is_its_end(run, monkeypatc
     run.gateway.take(status(vehicles=gone, certified={"uav_0": False}, uncertified={"uav_0": why}))
     run.gateway.take(truth(distance=4.8))
     said = texts(run.station.told())
-    assert "uav_0 is lost: its process has gone" in said
-    assert f"sight is not certified: {why.text}" in said
-    assert "ugv_0 is out of sight: 4.80 m, r_v is 4.75 m" in said
+    assert "uav_0: process disconnected" in said
+    assert f"not certified: {why.text}" in said
+    assert "ugv_0 is out of sight: distance 4.80 m, r_v 4.75 m" in said
     assert run.gateway.systems[UAV].critical
     run.gateway.take(status())
     run.gateway.take(truth())
@@ -253,7 +253,7 @@ def test_what_is_lost_or_not_certified_is_said_and_so_is_its_end(run, monkeypatc
     monkeypatch.setattr("outrider_mavlink.gateway._SETTLE", 0.0)
     run.gateway.take(status())
     run.gateway.take(truth())
-    again = ["uav_0 is back", "sight is certified again", "ugv_0 is in sight again"]
+    again = ["uav_0: process reconnected", "certified again", "ugv_0 is in sight again"]
     assert texts(run.station.told()) == again
     assert not run.gateway.systems[UAV].critical
 
@@ -359,7 +359,7 @@ def test_a_second_ground_station_is_refused_until_the_first_falls_silent(run, mo
     assert any(SECOND_STATION in text for text in texts(second.send(sticks(-900, 0))))
     assert run.client.driven == first
     assert run.gateway.refusals.counts == {SECOND_STATION: 1}
-    monkeypatch.setattr("outrider_mavlink.gateway._RELEASE", 0.0)
+    monkeypatch.setattr("outrider_mavlink.gateway._CONTROL_TIMEOUT", 0.0)
     second.send(sticks(-900, 0))
     assert run.client.driven[-1][1].velocity == pytest.approx((0.0, -0.18))
 
@@ -367,15 +367,15 @@ def test_a_second_ground_station_is_refused_until_the_first_falls_silent(run, mo
 def test_one_ground_station_too_many_is_refused_and_hears_it(run):
     network = Network(listen=[Address("127.0.0.1", 0)])
     shown, run.gateway.network = run.gateway.network, network
-    to = network._lines[0].socket.getsockname()
+    to = network._links[0].socket.getsockname()
     stations = []
-    for k in range(MOST_PEERS + 1):
+    for k in range(MAX_PEERS + 1):
         stations.append(Station(run.gateway, number=100 + k))
         stations[-1].to = to
     driven = [station.send(sticks(500, 0)) for station in stations][-1]
     assert any("16 ground stations" in text for text in texts(driven))
     assert run.gateway.refusals.counts[TOO_MANY] == 1
-    assert run.gateway.received == MOST_PEERS
+    assert run.gateway.received == MAX_PEERS
     for system in (UAV, UGV):
         arm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
         assert stations[-1].ask(arm, 1.0, target=system) == mavlink.MAV_RESULT_DENIED
@@ -411,7 +411,7 @@ def test_services_that_a_run_does_not_have_reply(run):
                 assert answer.type == mavlink.MAV_MISSION_UNSUPPORTED
     assert list(answer.payload[:13]) == [2, 0, 3, 129, 1, 10, 0, 0, 4, 0, 0, 0, 7]
     erased = run.station.send(mavlink.MAVLink_log_erase_message(UAV, 1))
-    assert texts(erased) == ["refused: there are no logs to erase"]
+    assert texts(erased) == ["rejected: there are no logs to erase"]
     files[3] = 128  # a reply, to which another one would be no end
     again = run.station.send(mavlink.MAVLink_file_transfer_protocol_message(0, UAV, 1, files))
     assert not of(again, "FILE_TRANSFER_PROTOCOL")
@@ -421,7 +421,7 @@ def test_services_that_a_run_does_not_have_reply(run):
 
 
 def test_what_is_bad_is_counted_by_cause_and_drives_nothing(run):
-    run.gateway.refuse = counted = Counted(run.gateway)
+    run.gateway.reject = counted = Counted(run.gateway)
     send = run.station.send
     send(sticks(2000, 0))
     send(sticks(500, 0, target=7))
@@ -446,7 +446,7 @@ def test_what_is_bad_is_counted_by_cause_and_drives_nothing(run):
 
 class Counted:
     def __init__(self, gateway):
-        self.causes, self._refuse = [], gateway.refuse
+        self.causes, self._refuse = [], gateway.reject
 
     def __call__(self, cause, what, count=1):
         self.causes += [cause] * count
@@ -508,9 +508,9 @@ def test_the_first_line_says_to_whom_telemetry_goes(command):
         return refused.stderr.splitlines()[0]
 
     usual = first_line()
-    assert "the truth among it, to 127.0.0.1:14550: to the process that listens" in usual
+    assert "including the truth, to 127.0.0.1:14550: any user's process can listen" in usual
     assert "--private" in usual
-    assert "to 127.0.0.1:14999: to" in first_line("--to", "127.0.0.1:14999")
+    assert "to 127.0.0.1:14999: any" in first_line("--to", "127.0.0.1:14999")
     ports = {first_line("--private").split("127.0.0.1:")[1].split(":")[0] for _ in range(2)}
     assert len(ports) == 2
     assert "14550" not in ports

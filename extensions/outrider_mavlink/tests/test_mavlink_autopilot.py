@@ -74,7 +74,7 @@ class Along:
         self.scenario = load_scenario("escort", overrides=[*CHANGES, *changes])
         self.network = Network(listen=[Address("127.0.0.1", 0)])
         self.link = AutopilotLink(self.network)
-        port = self.network._lines[0].socket.getsockname()[1]
+        port = self.network._links[0].socket.getsockname()[1]
         self.autopilot = Autopilot(self.link, port)
         self.pilot = AutopilotPilot(self.link)
         self.reports = []
@@ -141,8 +141,11 @@ def test_setpoints_are_the_track_from_where_the_autopilot_hovers(along, plain):
 def test_one_that_stays_behind_is_waited_for_and_nothing_is_certified_meanwhile(along, caplog):
     with caplog.at_level(logging.WARNING):
         flight = along.fly(moves=lambda tick: not 40 <= tick < 200)
-    assert "m off, declared are 0.3 m: its UAV stays, and nothing is certified" in caplog.text
-    assert "the autopilot holds what it is told" in caplog.text
+    assert (
+        "m, allowed up to 0.3 m: the UAV holds its position, and nothing is certified"
+        in caplog.text
+    )
+    assert "the autopilot tracks the reference state" in caplog.text
     assert 0 < along.pilot.held_ticks < 200
     held = [one for one in along.reports if one is not None and one.decision is None]
     assert len(held) >= along.pilot.held_ticks - 1
@@ -153,9 +156,9 @@ def test_one_that_stays_behind_is_waited_for_and_nothing_is_certified_meanwhile(
 
 def test_one_that_is_silent_or_not_armed_is_waited_for(along, monkeypatch):
     along.fly()
-    where = along.pilot._link.wanted.position
+    where = along.pilot._link.reference.position
     assert along.link.deviation(where) < 0.1
-    monkeypatch.setattr(module, "_SILENCE", -1.0)
+    monkeypatch.setattr(module, "_TELEMETRY_TIMEOUT", -1.0)
     assert along.link.deviation(where) == math.inf
     monkeypatch.undo()
     along.autopilot.send(along.autopilot.heartbeat(armed=False))
@@ -203,14 +206,14 @@ def test_an_autopilot_that_restarts_is_believed_again(along, monkeypatch):
     assert believed(along)
     late = along.autopilot.report(time_boot_ms=7)
     (why,) = texts(along.autopilot.send(late))
-    assert why == f"refused: telemetry {OLDER}; accepted after 1 s without any other"
-    monkeypatch.setattr(module, "_SILENCE", -1.0)  # as after a second of silence
+    assert why == f"rejected: telemetry {OLDER}; accepted after 1 s without telemetry"
+    monkeypatch.setattr(module, "_TELEMETRY_TIMEOUT", -1.0)  # as after a second of silence
     assert believed(along, time_boot_ms=7)
     other = Autopilot(along.link, along.autopilot.to[1])
     (why,) = texts(other.send(other.heartbeat()))
     assert OTHER_AUTOPILOT in why
     assert why.endswith("accepted after 3 s of its silence")
-    monkeypatch.setattr(module, "_LEFT", -1.0)
+    monkeypatch.setattr(module, "_PEER_TIMEOUT", -1.0)
     told = other.send(other.heartbeat(), other.report())
     assert of(told, "COMMAND_LONG")  # it does not know what it was asked for
     assert along.link.peer.address[1] == other.port
@@ -221,17 +224,17 @@ def test_an_autopilot_that_restarts_is_believed_again(along, monkeypatch):
 def test_a_silent_autopilot_is_asked_again_for_telemetry(along, monkeypatch):
     along.fly()
     along.autopilot.told()
-    monkeypatch.setattr(module, "_BEAT", 0.0)
+    monkeypatch.setattr(module, "_HEARTBEAT", 0.0)
     along.link.refresh()
     assert not of(along.autopilot.told(), "COMMAND_LONG")
-    monkeypatch.setattr(module, "_SILENCE", -1.0)
+    monkeypatch.setattr(module, "_TELEMETRY_TIMEOUT", -1.0)
     along.link.refresh()
     assert of(along.autopilot.told(), "COMMAND_LONG")
 
 
 def test_no_other_system_becomes_the_autopilot(along, monkeypatch):
     along.fly()
-    monkeypatch.setattr(module, "_LEFT", -1.0)
+    monkeypatch.setattr(module, "_PEER_TIMEOUT", -1.0)
     other = Autopilot(along.link, along.autopilot.to[1])
     other.mav.srcSystem = 43
     (why,) = texts(other.send(other.heartbeat()))
@@ -264,17 +267,17 @@ def test_the_past_that_a_process_is_told_when_it_joins_again_is_not_told_to_the_
         {"tick": 0, "time": 0.0, "position": [1.0, 1.0], "velocity": [0.0, 0.0]}, UavObservation
     )
     pilot.act(past)
-    assert along.link.wanted is None
+    assert along.link.reference is None
     now = msgspec.structs.replace(past, tick=1, position=(9.0, 8.0))
     pilot.act(now)
     pilot.prepare()
-    assert along.link.wanted.position == (9.0, 8.0)
+    assert along.link.reference.position == (9.0, 8.0)
     assert along.link.deviation((9.0, 8.0)) == 0.0  # it is where its UAV is
 
 
 def test_a_run_that_stands_still_wants_the_autopilot_to_stay(along, monkeypatch):
     along.fly()
-    monkeypatch.setattr(module, "_STANDS", -1.0)
+    monkeypatch.setattr(module, "_PAUSED", -1.0)
     monkeypatch.setattr(module, "_RESEND", 0.0)
     along.autopilot.told()
     along.link.refresh()

@@ -101,7 +101,7 @@ class Run:
         system = VehicleSystem("uav_0", 1, flies=True, origin=Origin(), height=10.0)
         self.gateway = self.station.gateway = OffboardGateway(self.pilot, self.network, system)
         self.gateway.say(system, "here")
-        self.station.to = ("127.0.0.1", self.network._lines[0].socket.getsockname()[1])
+        self.station.to = ("127.0.0.1", self.network._links[0].socket.getsockname()[1])
         self.station.told()
 
     def fly(self, each_tick=lambda _tick: None):
@@ -171,7 +171,7 @@ def test_setpoints_fly_the_uav(run):
 
     def each_tick(tick):
         if tick < 100:
-            run.pilot.want(Setpoint((0.0, 0.2), None))
+            run.pilot.set_setpoint(Setpoint((0.0, 0.2), None))
         flown.append(run.pilot.flown)
 
     run.fly(each_tick)
@@ -182,7 +182,7 @@ def test_setpoints_fly_the_uav(run):
 
 def test_flying_away_is_stopped_by_the_filter(run):
     run.pilot.mode = OFFBOARD
-    flight, summary = run.fly(lambda _tick: run.pilot.want(Setpoint((-0.6, 0.0), None)))
+    flight, summary = run.fly(lambda _tick: run.pilot.set_setpoint(Setpoint((-0.6, 0.0), None)))
     assert distances(flight).max() < 4.75
     assert distances(flight)[-1] > 3.0  # it did try
     assert run.pilot.interventions > 50
@@ -193,10 +193,10 @@ def test_flying_away_is_stopped_by_the_filter(run):
 
 def test_a_law_without_a_filter_gets_one_when_setpoints_may_come():
     run = Run("law.name=tracking")
-    flight, summary = run.fly(lambda _tick: run.pilot.want(Setpoint(None, (-0.3, 0.0))))
+    flight, summary = run.fly(lambda _tick: run.pilot.set_setpoint(Setpoint(None, (-0.3, 0.0))))
     assert summary.max_distance < 4.75
     run.pilot.mode = OFFBOARD
-    flight, summary = run.fly(lambda _tick: run.pilot.want(Setpoint(None, (-0.3, 0.0))))
+    flight, summary = run.fly(lambda _tick: run.pilot.set_setpoint(Setpoint(None, (-0.3, 0.0))))
     assert 3.0 < distances(flight)[-1] < 4.75
     run.close()
 

@@ -191,7 +191,7 @@ def test_a_bag_that_lost_a_record_is_read_up_to_there(flown, tmp_path):
         flown.bag, tmp_path / "gap", lambda number, topic: topic != RECORDS or number > 20
     )
     file, damage = imported(cut)
-    assert damage.reason == "its record 0 is missing"
+    assert damage.reason == "record 0 is missing"
     assert not file.exists()
 
 
@@ -229,8 +229,8 @@ def test_a_folder_that_is_there_is_not_replaced(flown, tmp_path, command):
         ("ros2", "export", flown.file, flown.bag),
         ("record", flown.bag, "--format", "ros2", "--connect", "tcp/127.0.0.1:1"),
     ):
-        assert "already" in command(*words).stderr
-    with pytest.raises(ScenarioError, match="is there already"):
+        assert "exists already" in command(*words).stderr
+    with pytest.raises(ScenarioError, match="exists already"):
         RosBag(flown.bag)
     with pytest.raises(FileNotFoundError):
         RosBag(tmp_path / "nowhere" / "bag")
@@ -242,7 +242,7 @@ def test_a_bag_whose_name_was_taken_meanwhile_is_kept(flown, tmp_path):
     for _ in copy_flight(flight_of(flown.file), bag):
         pass
     (tmp_path / "bag").mkdir()
-    with pytest.raises(ScenarioError, match="is there by now; the bag is in ") as told:
+    with pytest.raises(ScenarioError, match="exists by now; the bag is in ") as told:
         bag.close()
     kept = Path(str(told.value).partition(" is in ")[2])
     assert refly(flight_of(imported(kept)[0])).trajectory_sha256 == flown.flight.recorder.sha256()
@@ -315,19 +315,19 @@ def _flipped(folder, flown):
 @pytest.mark.parametrize(
     ("spoil", "line"),
     [
-        (lambda folder, _: folder.mkdir(), "no metadata.yaml in it; allowed: the folder of"),
+        (lambda folder, _: folder.mkdir(), "metadata.yaml is missing; allowed: the folder of"),
         (
             lambda folder, _: _greeting(folder, "/chatter"),
-            "not a recording of Outrider: no topic /outrider/recording",
+            "not an Outrider recording: topic /outrider/recording is missing",
         ),
         (
             lambda folder, _: _greeting(folder, RECORDS),
-            "/bad.mcap: /outrider/recording at 0 s: JSON is malformed.*; allowed: what",
+            "/bad.mcap: /outrider/recording at 0 s: JSON is malformed.*; allowed: records",
         ),
         (_late, r"/bad\.mcap: /truth: time = 18446744073709551615 ns: out of range"),
-        (_sqlite, "no MCAP file in it; allowed: a bag that ros2 bag convert has stored as MCAP"),
-        (_truncated, r"nothing whole is in it \(it ends within a record\)"),
-        (_flipped, r"nothing whole is in it \(damaged at byte "),
+        (_sqlite, "no MCAP file; allowed: a bag in MCAP format"),
+        (_truncated, r"no intact record \(it ends within a record\)"),
+        (_flipped, r"no intact record \(damaged at byte "),
     ],
 )
 def test_a_folder_that_is_no_bag_of_ours_is_one_line(flown, tmp_path, spoil, line):
@@ -394,9 +394,9 @@ def test_an_observer_records_a_run_that_is_reset_into_one_bag(tmp_path, known):
 
 
 def test_of_a_run_without_a_tick_there_is_no_bag(tmp_path):
-    with pytest.raises(ScenarioError, match="no tick came"):
+    with pytest.raises(ScenarioError, match="no tick was received"):
         observed(tmp_path / "live", None, flights=0).close()
-    with pytest.raises(ScenarioError, match="no status has told the geometry"):
+    with pytest.raises(ScenarioError, match="no status contained the geometry"):
         observed(tmp_path / "live", None, flights=1, ticks=2).close()
     assert not list(tmp_path.iterdir())
 

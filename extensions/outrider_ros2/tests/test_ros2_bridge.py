@@ -25,7 +25,7 @@ from outrider_ros2.conversion import header
 from outrider_ros2.interfaces import decode, encode, make, request_of, response_of
 from outrider_ros2.observing import RosObserver
 from outrider_ros2.roles import NO_HASH
-from outrider_ros2.ros_commands import TWISTS, RosCommands, wish_of
+from outrider_ros2.ros_commands import TWISTS, RosCommands, velocity_command
 from outrider_ros2.ros_node import RosNode
 from outrider_ros2.run_view import view_of
 from outrider_ros2.topics import TOPICS, wire_topic
@@ -222,8 +222,8 @@ BAD = {
     "no such UGV": (_key("/uav_0/cmd_vel"), GOOD),
     "another type": (_key(interface="geometry_msgs/msg/Accel"), GOOD),
     "another hash": (_key()[:-1] + "x", GOOD),
-    "no CDR of its type": (_key(), GOOD[:-3]),
-    "no finite number": (_key(), encode(TWISTS[1], _twist(math.nan, 0.0))),
+    "invalid CDR": (_key(), GOOD[:-3]),
+    "not finite": (_key(), encode(TWISTS[1], _twist(math.nan, 0.0))),
     "beyond the limits": (_key(), encode(TWISTS[1], _twist(0.2, 0.1))),
     "climbs or turns": (_key(), encode(TWISTS[1], _twist(0.1, 0.0, turn=0.5))),
     "another frame": (
@@ -237,7 +237,7 @@ BAD = {
 def test_a_bad_velocity_is_refused_by_its_cause(cause: str) -> None:
     key, payload = BAD[cause]
     with pytest.raises(Refused) as refused:
-        wish_of(key, payload, domain=7, namespace="/fleet", ugvs=UGVS)
+        velocity_command(key, payload, domain=7, namespace="/fleet", ugvs=UGVS)
     assert refused.value.cause == cause
 
 
@@ -245,7 +245,9 @@ def test_a_bad_velocity_is_refused_by_its_cause(cause: str) -> None:
 @given(st.binary(max_size=80), st.sampled_from(TWISTS))
 def test_no_bytes_at_all_make_a_velocity_that_cannot_be_driven(raw: bytes, interface: str) -> None:
     try:
-        wish = wish_of(_key(interface=interface), raw, domain=7, namespace="/fleet", ugvs=UGVS)
+        wish = velocity_command(
+            _key(interface=interface), raw, domain=7, namespace="/fleet", ugvs=UGVS
+        )
     except Refused:
         return
     assert math.hypot(*wish.velocity) <= 0.2 * (1.0 + 1e-6)
@@ -290,7 +292,7 @@ def test_an_operators_node_drives_and_what_is_bad_is_counted_and_told(tmp_path: 
         driving.put(
             _key(), GOOD, attachment=Attachment(sequence=1, time=0, gid=b"x" * 16).encoded()
         )
-        wait_until(lambda: "another node is at the wheel" in observer.refusals.counts)
+        wait_until(lambda: "another node has control" in observer.refusals.counts)
         counted = observer.refusals.counts["another hash"]
         unhashed = "/".join([*_key().split("/")[:-1], NO_HASH])
 
@@ -300,7 +302,7 @@ def test_an_operators_node_drives_and_what_is_bad_is_counted_and_told(tmp_path: 
 
         wait_until(counted_without_hash)
         told_of = {one.key: one.value for one in observer._own_diagnostic().values}
-        assert int(told_of["refused: beyond the limits"]) >= 1
+        assert int(told_of["rejected: beyond the limits"]) >= 1
 
         trigger, pause = "std_srvs/srv/Trigger", "std_srvs/srv/SetBool"
         nothing = make(request_of(trigger), structure_needs_at_least_one_member=0)

@@ -107,7 +107,7 @@ def bridge(endpoint: str, vehicle: str, links: list[RosPilot]) -> None:
         node = RosNode(session, domain=3, name="outrider", namespace=f"/{vehicle}")
         link = RosPilot(node, credential.party)
         links.append(link)
-        wait_until(lambda: link.there)
+        wait_until(lambda: link.connected)
         fly(
             credential.party,
             link.make,
@@ -150,9 +150,9 @@ def test_a_ros_2_node_flies_the_trajectory_of_the_pilot_in_this_process(
     assert flight.recorder.sha256() == staging.whole(60).recorder.sha256()
     assert links[0].answered == 60
     assert set(links[0].refusals.counts) >= {
-        "no command",
+        "invalid command",
         "answers another tick",
-        "no CDR of its type",
+        "invalid CDR",
     }
 
 
@@ -170,7 +170,7 @@ def test_a_node_that_is_late_keeps_nobody_waiting_and_one_that_has_gone_ends_the
         )
         link.perceive(seen)
         assert link.answer(lambda: False) is None
-        with pytest.raises(PeerLost, match="the ROS 2 node that flew uav_0 has gone"):
+        with pytest.raises(PeerLost, match="the ROS 2 node of uav_0 disconnected"):
             link.answer(lambda: True)
 
         def say(seconds: float, value: tuple[float, float]) -> None:

@@ -184,7 +184,7 @@ def test_diagnostics_name_why_nothing_is_certified():
     assert "older than max_measurement_age" in parts["outrider: certificate uav_0"].message
     assert parts["outrider: certificate uav_0"].level == 1
     lossy = parts["outrider: link uav_0/detections"]
-    assert lossy.message == "loses messages"
+    assert lossy.message == "message loss"
     told = {one.key: one.value for one in lossy.values}
     assert (told["sent"], told["delivered"], told["lost: chance"]) == ("9", "4", "5")
     assert told["delivery_ratio"] == "0.444444"

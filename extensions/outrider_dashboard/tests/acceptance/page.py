@@ -116,7 +116,7 @@ def check_reload(first: Page) -> str:
 def check_key(first: Page) -> str:
     """Keys drive, and releasing them brakes."""
     first.page.keyboard.down("ArrowUp")
-    wait_until(lambda: first.wheel() == "mine", "the first key takes the wheel")
+    wait_until(lambda: first.wheel() == "mine", "the first key takes control")
     wait_until(lambda: first.status["drivers"]["ugv_0"] == "teleop", "teleop drives")
     wait_until(lambda: first.velocity()[1] > 0.1, "a key drives the UGV north")
     first.page.keyboard.up("ArrowUp")
@@ -249,7 +249,7 @@ def check_one_wheel(first: Page, second: Page) -> str:
 
 def check_touch(second: Page, context: Any) -> str:
     """A finger on the stick of a phone, and handing back."""
-    second.page.get_by_role("button", name="Take the wheel").tap()
+    second.page.get_by_role("button", name="Take control").tap()
     wait_until(lambda: second.wheel() == "mine", "a tap takes the wheel")
     stick = second.page.locator("#stick")
     stick.scroll_into_view_if_needed()
@@ -366,11 +366,11 @@ def check_links(page: Page) -> str:
     if link()["settings"]["loss"] != share:
         raise Failed("a blackout has changed the loss")
     wait_until(lambda: "left" not in row.inner_text(), "it passes")
-    _slider(page, "bursts of [s]", 0.2)
+    _slider(page, "Burst length [s]", 0.2)
     wait_until(
         lambda: link()["settings"]["burst_interval"] > 0.0, "bursts come with a time between them"
     )
-    interval = page.page.get_by_label("one every, number")
+    interval = page.page.get_by_label("Burst interval, number")
     interval.fill("0")
     interval.press("Enter")
     refusal = page.page.locator("#link-refusal")
@@ -393,7 +393,7 @@ def check_observer(processes: Processes, context: Any, complaints: list[str]) ->
     tick = page.tick
     wait_until(lambda: page.tick > tick, "it moves")
     wait_until(lambda: page.page.locator("#links .link-row").count() == 5, "the links are shown")
-    if page.page.get_by_text("only looks on").count() != 1:
+    if page.page.get_by_text("read-only").count() != 1:
         raise Failed("an observer is not told why nothing can be changed")
     for button in page.page.locator(".side .q-btn").all():
         if button.is_enabled():
@@ -420,7 +420,7 @@ def check_recording(
     tick = page.tick
     page.click("Step")
     wait_until(lambda: page.tick == tick + 1, "it is stepped")
-    for name in ("Take the wheel", "Reset", "Perfect", "Blackout"):
+    for name in ("Take control", "Reset", "Perfect", "Blackout"):
         if page.page.get_by_role("button", name=name).is_enabled():
             raise Failed(f"a recording lets one press {name}")
     if page.page.get_by_text("this is a recording").count() != 2:

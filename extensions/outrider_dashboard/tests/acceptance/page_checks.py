@@ -174,7 +174,7 @@ def _check_ranges(page: Page) -> None:
         ("loss, number", "150", "0", lambda: page.page.keyboard.press("Tab")),
     ):
         page.page.get_by_label(label).fill(wrong)
-        message = page.page.get_by_text(f"{wrong} is refused; allowed")
+        message = page.page.get_by_text(f"{wrong} is invalid; allowed")
         wait_until(message.is_visible, f"{label} = {wrong} is refused with a message")
         act()
         time.sleep(1.0)

@@ -1,7 +1,4 @@
-"""The radio links as the page sees them.
-
-How each is set, in a few words, and what is to be said to set it otherwise.
-"""
+"""Settings of the radio links: short descriptions, and commands that change them."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
@@ -15,14 +12,14 @@ from bus.messages.telemetry import Status
 from bus.profiles import PROFILES
 
 ALL = "all"
-"""Stands for every kind, and for every vehicle."""
-_PAST = 50
-"""Blackouts that are over are kept up to so many."""
-_EVERY = 5.0
-"""Time between bursts that were asked for without one [s]."""
+"""Choice of all kinds of links, or of all vehicles."""
+_MAX_PAST_BLACKOUTS = 50
+"""Maximum number of past blackouts in the settings of a link."""
+_BURST_INTERVAL = 5.0
+"""Default time between two bursts [s]."""
 
-_Say = Callable[[LinkSettings], str]
-_PHRASES: tuple[tuple[tuple[str, ...], _Say], ...] = (
+_Describe = Callable[[LinkSettings], str]
+_PHRASES: tuple[tuple[tuple[str, ...], _Describe], ...] = (
     (("delay",), lambda s: f"delay {s.delay:g} s"),
     (("jitter", "jitter_shape", "max_jitter"), lambda s: f"jitter {s.jitter:g} s"),
     (("loss",), lambda s: f"loss {100 * s.loss:.3g} %"),
@@ -37,66 +34,66 @@ _PHRASES: tuple[tuple[tuple[str, ...], _Say], ...] = (
     (
         ("blackout_interval", "blackout_length"),
         lambda s: (
-            f"dark {s.blackout_length:g} s every {s.blackout_interval:g} s"
+            f"blackouts {s.blackout_length:g} s every {s.blackout_interval:g} s"
             if s.blackout_interval
-            else "none dark"
+            else "no blackouts"
         ),
     ),
-    (("duplicates",), lambda s: f"doubled {100 * s.duplicates:.3g} %"),
-    (("reorder", "reorder_delay"), lambda s: f"held back {100 * s.reorder:.3g} %"),
+    (("duplicates",), lambda s: f"duplicates {100 * s.duplicates:.3g} %"),
+    (("reorder", "reorder_delay"), lambda s: f"reordered {100 * s.reorder:.3g} %"),
     (
         ("bandwidth", "queue", "keep"),
-        lambda s: f"{s.bandwidth:g} messages/s" if s.bandwidth else "any rate",
+        lambda s: f"{s.bandwidth:g} messages/s" if s.bandwidth else "unlimited rate",
     ),
-    (("trace", "message_bytes"), lambda s: f"plays {s.trace}" if s.trace else "nothing played"),
+    (("trace", "message_bytes"), lambda s: f"trace {s.trace}" if s.trace else "no trace"),
 )
-"""Fields that belong together, of which the first says whether the others count, and what is said of them."""
+"""Groups of fields and their description; the others have no effect if the first is zero."""
 
 
 @lru_cache(maxsize=1000)
-def words(settings: LinkSettings) -> str:
-    """The settings in a few words: the nearest profile and what differs from it, or what is not perfect.
+def describe(settings: LinkSettings) -> str:
+    """Return a short description: the closest profile and the differences from it.
 
-    No planned blackouts.
+    Planned blackouts are not included.
     """
-    said = {name: _differences(settings, profile) for name, profile in PROFILES.items()}
-    name = min(said, key=lambda name: len(said[name]) + (name != "perfect"))
-    differences = said[name]
+    found = {name: _differences(settings, profile) for name, profile in PROFILES.items()}
+    name = min(found, key=lambda name: len(found[name]) + (name != "perfect"))
+    differences = found[name]
     return ", ".join(differences if name == "perfect" and differences else [name, *differences])
 
 
 def _differences(settings: LinkSettings, profile: LinkSettings) -> list[str]:
     found = []
-    for fields, say in _PHRASES:
+    for fields, describe_group in _PHRASES:
         ours, theirs = ([getattr(one, field) for field in fields] for one in (settings, profile))
         if ours != theirs and (ours[0] or theirs[0]):
-            found.append(say(settings))
+            found.append(describe_group(settings))
     return found
 
 
-def said_of_links(status: Status) -> dict[str, Any]:
-    """The links' settings in words.
+def describe_links(status: Status) -> dict[str, Any]:
+    """Return the descriptions of the links' settings.
 
-    `of` each link, and of each of the `changes` that is one of links ("" of others).
+    `of` has one for each link, `changes` one for each change of the status (empty unless it changed a link).
     """
     return {
         "of": {
-            name: words(link.settings)
+            name: describe(link.settings)
             for name, link in status.links.items()
             if link.settings is not None
         },
         "changes": [
-            "" if change.control.settings is None else words(change.control.settings)
+            "" if change.control.settings is None else describe(change.control.settings)
             for change in status.changes
         ],
     }
 
 
-# What becomes of a wish
+# Commands
 
 
-def chosen(names: Iterable[str], kind: str, vehicle: str) -> list[str]:
-    """The links of a kind and a vehicle, or of all."""
+def select_links(names: Iterable[str], kind: str, vehicle: str) -> list[str]:
+    """Return the names of the links of a kind and a vehicle, or of all."""
     parts = {name: name.split("/") for name in names}
     return [
         name
@@ -106,10 +103,10 @@ def chosen(names: Iterable[str], kind: str, vehicle: str) -> list[str]:
 
 
 def controls_for(wanted: Mapping[str, LinkSettings], names: Sequence[str]) -> list[Control]:
-    """The controls that give links their settings: one for a kind where all of it gets the same."""
+    """Return the controls that set the links: a single one for a kind whose links all get the same settings."""
     controls = []
     for kind in LinkKind:
-        owned = chosen(names, kind, ALL)
+        owned = select_links(names, kind, ALL)
         settings = {name: wanted[name] for name in owned if name in wanted}
         if len(settings) == len(owned) and len(set(settings.values())) == 1:
             controls.append(Control(action=Action.LINK, link=kind, settings=settings[owned[0]]))
@@ -121,21 +118,26 @@ def controls_for(wanted: Mapping[str, LinkSettings], names: Sequence[str]) -> li
     return controls
 
 
-def darkened(settings: LinkSettings, now: float, length: float) -> LinkSettings:
-    """The settings with one more planned blackout.
+def with_blackout(settings: LinkSettings, now: float, length: float) -> LinkSettings:
+    """Return the settings with one more planned blackout.
 
-    Of those that are over, the oldest are dropped where they are many.
+    The oldest of many past blackouts are dropped.
+
+    Args:
+        settings: Settings of a link.
+        now: Start of the blackout [s].
+        length: Its length [s].
     """
     over = [row for row in settings.blackouts if sum(row) <= now]
     kept = [row for row in settings.blackouts if sum(row) > now]
     return msgspec.structs.replace(
-        settings, blackouts=(*over[-_PAST:], *kept, (round(now, 4), length))
+        settings, blackouts=(*over[-_MAX_PAST_BLACKOUTS:], *kept, (round(now, 4), length))
     )
 
 
 def with_field(settings: LinkSettings, field: str, value: float) -> LinkSettings:
-    """The settings with another value in a field; bursts come with a time between them."""
+    """Return the settings with a new value in a field; a burst length also sets a missing burst interval."""
     changed = {field: value}
     if field == "burst_length" and value > 0.0 and settings.burst_interval == 0.0:
-        changed["burst_interval"] = _EVERY
+        changed["burst_interval"] = _BURST_INTERVAL
     return msgspec.structs.replace(settings, **changed)

@@ -11,7 +11,7 @@ from clocks import Clock
 from observed import recorded
 from outrider.recording.reader import flight_of
 from outrider_dashboard.hub import Hub
-from outrider_dashboard.sources.tape import Tape
+from outrider_dashboard.sources.recorded import RecordedRun
 from sim.scenario.loading import load_scenario
 
 
@@ -22,14 +22,14 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def staged(path: Path, speed: float = 1.0) -> tuple[Clock, Tape, Hub]:
+def staged(path: Path, speed: float = 1.0) -> tuple[Clock, RecordedRun, Hub]:
     clock = Clock()
-    tape = Tape(flight_of(path), speed, clock)
+    tape = RecordedRun(flight_of(path), speed, clock)
     return clock, tape, Hub(tape)
 
 
 def shown(hub: Hub) -> float:
-    hub.take_in()
+    hub.update()
     time = hub.history.newest[0]
     assert time is not None
     return time
@@ -46,7 +46,7 @@ def test_simulated_time_passes_at_the_speed_until_the_end(path: Path) -> None:
     clock.now += 1000.0
     assert shown(hub) == pytest.approx(60.0)
     assert not tape.playing
-    assert tape.standing.line == "The recording ends here."
+    assert tape.state.line == "End of the recording."
     assert hub.status is not None
     assert hub.status.over
 
@@ -76,9 +76,9 @@ def test_wound_to_a_time_the_page_shows_what_it_would_have_shown_then(path: Path
     _, tape, other = staged(path)
     shown(other)
     tape.pause()
-    tape.wind(55.0)
+    tape.seek(55.0)
     assert shown(other) == pytest.approx(55.0)
-    tape.wind(20.0)
+    tape.seek(20.0)
     assert shown(other) == pytest.approx(20.0)
     assert other.history.rows == played
     assert status is not None
@@ -93,7 +93,7 @@ def test_wound_to_a_time_the_page_shows_what_it_would_have_shown_then(path: Path
 
 def test_play_at_the_end_begins_again(path: Path) -> None:
     clock, tape, hub = staged(path)
-    tape.wind(1e9)
+    tape.seek(1e9)
     assert shown(hub) == pytest.approx(60.0)
     tape.play()
     assert shown(hub) == 0.0
@@ -103,7 +103,7 @@ def test_play_at_the_end_begins_again(path: Path) -> None:
 
 def test_the_map_is_the_newest_that_was_there_by_then(path: Path) -> None:
     _, tape, _ = staged(path)
-    tape.wind(30.52)
+    tape.seek(30.52)
     news = list(tape.news())
     assert isinstance(news[0], Status)
     (ground,) = (message for message in news if isinstance(message, CoverageMap))
@@ -116,21 +116,21 @@ def test_nobody_steers_a_recording(path: Path) -> None:
     shown(hub)
     assert not tape.control(Control(action=Action.PAUSE))
     assert not tape.drive("ugv_0", Teleoperation(operator="me"))
-    assert not hub.wheel.take(1, "me", "ugv_0")
+    assert not hub.teleoperation.take_control(1, "me", "ugv_0")
 
 
 def test_a_recording_that_was_cut_off_says_so_at_its_end(path: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     _, tape, hub = staged(cut)
-    tape.wind(1e9)
+    tape.seek(1e9)
     assert 0.0 < shown(hub) < 60.0
-    assert "not whole" in tape.standing.line
+    assert "incomplete" in tape.state.line
 
 
 def test_a_recording_without_a_status_is_shown_all_the_same(path, monkeypatch) -> None:
     monkeypatch.setattr(
-        "outrider_dashboard.sources.tape.statuses", lambda *_args, **_more: iter(())
+        "outrider_dashboard.sources.recorded.statuses", lambda *_args, **_more: iter(())
     )
     _, _, hub = staged(path)
     shown(hub)
@@ -142,17 +142,17 @@ def test_a_recording_without_a_status_is_shown_all_the_same(path, monkeypatch) -
 def test_the_end_of_a_flight_is_told_once_all_browsers_have_been_given_it(path: Path) -> None:
     told: list[float] = []
     clock = Clock()
-    tape = Tape(flight_of(path), 1.0, clock)
+    tape = RecordedRun(flight_of(path), 1.0, clock)
     hub = Hub(tape, on_end=lambda: told.append(clock.now))
-    first, slow = hub.welcome(""), hub.welcome("")
+    first, slow = hub.add_browser(""), hub.add_browser("")
     for seconds, ends in ((30.0, 0), (1000.0, 1)):
         clock.now += seconds
-        hub.take_in()
-        hub._tell_of_the_end()
+        hub.update()
+        hub._report_end()
         hub.frame(first)
-        hub._tell_of_the_end()
+        hub._report_end()
         assert len(told) == 0
         hub.frame(slow)
         for _ in range(2):
-            hub._tell_of_the_end()
+            hub._report_end()
             assert len(told) == ends

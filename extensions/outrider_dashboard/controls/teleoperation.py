@@ -1,4 +1,4 @@
-"""The wheel of a UGV, shared by browsers: one at a time holds it, and one that falls silent loses it."""
+"""Teleoperation of a UGV, shared by browsers: one at a time has control, and loses it when it falls silent."""
 
 import math
 import time
@@ -11,22 +11,22 @@ from bus.messages.vehicle import Teleoperation
 from bus.registry import TELEOP
 from outrider.view.operator import Helm
 
-_PATIENCE = 3.0
-"""So long a browser at the wheel may be silent [s]."""
-_SETTLING = 2.0
-"""So long the simulator may take to change the driver [s]."""
+_TIMEOUT = 3.0
+"""Time without a message after which a browser loses control [s]."""
+_DRIVER_CHANGE_TIME = 2.0
+"""Maximum time in which the simulator changes the driver [s]."""
 _UNBOUNDED = 1.0
-"""The largest speed of a vehicle that has no bound, or none that is known [m/s]."""
-_GAP = 0.04
-"""Wall time between two words to the vehicle at least [s]."""
+"""Maximum speed of a vehicle without a known bound [m/s]."""
+_MIN_PERIOD = 0.04
+"""Minimum wall time between two commands to the vehicle [s]."""
 
 
-class SharedWheel:
-    """Gives the wheel to one browser, and sends what it wants.
+class SharedTeleoperation:
+    """Control of a UGV by one browser at a time.
 
     Args:
-        control: Says something to the simulator.
-        drive: Says something to a UGV: its name, and what is wanted.
+        control: Sends a command to the simulator.
+        drive: Sends a velocity to a UGV, by name.
     """
 
     def __init__(
@@ -35,32 +35,34 @@ class SharedWheel:
         self._helm = Helm(control, drive)
         self._taken = self._alive = self._sent = 0.0
         self.holder = 0
-        """The browser that holds it; 0: none."""
+        """Number of the browser that has control; 0: none."""
         self.name = ""
+        """Name of this browser; empty: none."""
         self.vehicle = ""
-        self.share = 1.0
-        """Of the vehicle's largest speed, at full deflection."""
+        """Vehicle controlled last; empty: none yet."""
+        self.speed_share = 1.0
+        """Speed at full deflection, as a share of the vehicle's maximum speed."""
         self._status: Status | None = None
-        self._drivers: dict[str, str] = {}  # the last one of each UGV that was no operator
+        self._drivers: dict[str, str] = {}  # last driver of each UGV other than an operator
 
-    def follow(self, status: Status) -> None:
-        """Update who drives, and the vehicles' bounds."""
+    def update(self, status: Status) -> None:
+        """Update the drivers and the vehicles' bounds."""
         self._status = status
         self._drivers |= {name: one for name, one in status.drivers.items() if one != TELEOP}
 
-    def top(self, vehicle: str) -> float:
-        """The largest speed that can be asked of a vehicle [m/s]."""
+    def max_speed(self, vehicle: str) -> float:
+        """Return the maximum speed of a vehicle [m/s]."""
         geometry = None if self._status is None else self._status.geometry
         known = None if geometry is None else geometry.limits.get(vehicle)
         return _UNBOUNDED if known is None or known.max_speed is None else known.max_speed
 
     @property
-    def full(self) -> float:
-        """Speed of the vehicle that is driven at full deflection [m/s]."""
-        return self.share * self.top(self.vehicle)
+    def full_speed(self) -> float:
+        """Speed of the controlled vehicle at full deflection [m/s]."""
+        return self.speed_share * self.max_speed(self.vehicle)
 
-    def take(self, browser: int, name: str, vehicle: str) -> bool:
-        """Sit down at a vehicle's wheel; False if another browser sits there, or the run is over."""
+    def take_control(self, browser: int, name: str, vehicle: str) -> bool:
+        """Give a browser control of a vehicle; return False if another browser has it or the run is over."""
         over = self._status is not None and self._status.over
         if self.holder not in (0, browser) or not vehicle or over:
             return False
@@ -71,22 +73,22 @@ class SharedWheel:
         return True
 
     def steer(self, browser: int, deflection: Vector | None) -> None:
-        """Send what the hand at the wheel does: where to, as a share of the full speed; None is to brake."""
+        """Send the velocity for a deflection, as a share of the full speed; None: brake."""
         if browser != self.holder:
             return
         now = time.monotonic()
-        if deflection is not None and now - self._sent < _GAP:
+        if deflection is not None and now - self._sent < _MIN_PERIOD:
             return
         self._sent = now
         velocity: Vector | None = None
         if deflection is not None and all(map(math.isfinite, deflection)):
             x, y = deflection
-            scale = self.full / max(math.hypot(x, y), 1.0)
+            scale = self.full_speed / max(math.hypot(x, y), 1.0)
             velocity = (x * scale, y * scale)
         self._helm.steer(self.vehicle, self.name, velocity)
 
     def hand_back(self, browser: int) -> None:
-        """Let the driver from before drive on; anybody may, once nobody holds the wheel."""
+        """Return control to the previous driver; any browser may do so if no other has control."""
         if self.holder not in (0, browser):
             return
         self.release()
@@ -94,27 +96,27 @@ class SharedWheel:
             self._helm.hand_back(vehicle)
 
     def release(self) -> None:
-        """Take the hand off: the vehicle brakes, and the wheel is free."""
+        """Brake the vehicle and release control."""
         if self.holder:
             self._helm.steer(self.vehicle, self.name, None)
             self.holder, self.name = 0, ""
 
     def leave(self, browser: int) -> None:
-        """Free the wheel of a browser that has gone."""
+        """Release control if a disconnected browser had it."""
         if browser == self.holder:
             self.release()
 
-    def keep(self, browser: int) -> None:
-        """Note that a browser has given a sign of life."""
+    def mark_alive(self, browser: int) -> None:
+        """Restart the timeout of a browser after a message from it."""
         if browser == self.holder:
             self._alive = time.monotonic()
 
     def check(self) -> None:
-        """Free the wheel of a browser that has fallen silent, or whose vehicle has got another driver."""
+        """Release control if its browser is silent or the vehicle has another driver."""
         now = time.monotonic()
-        if self.holder and self._replaced() and now - self._taken > _SETTLING:
-            self.holder, self.name = 0, ""  # who drives now is not braked
-        if self.holder and now - self._alive > _PATIENCE:
+        if self.holder and self._replaced() and now - self._taken > _DRIVER_CHANGE_TIME:
+            self.holder, self.name = 0, ""  # do not brake the new driver
+        if self.holder and now - self._alive > _TIMEOUT:
             self.release()
 
     def _replaced(self) -> bool:
@@ -123,11 +125,11 @@ class SharedWheel:
         return other or self._helm.displaced(self._status, self.vehicle)
 
     def can_be_handed_back(self) -> bool:
-        """True if a driver from before waits for the wheel."""
+        """Return True if control can be returned to a previous driver."""
         return bool(self._helm.waiting(self._status))
 
-    def strangers(self) -> list[str]:
-        """The UGVs that obey an operator who is none of ours: another one may drive them."""
+    def other_operators(self) -> list[str]:
+        """Return the UGVs controlled by an operator outside this page."""
         drivers = {} if self._status is None else self._status.drivers
         ours = {*self._helm.waiting(self._status), self.vehicle if self.holder else ""}
         return [name for name, driver in drivers.items() if driver == TELEOP and name not in ours]

@@ -1,5 +1,5 @@
-// The wheel: keys, the stick on the screen, and a gamepad. Whatever is used says where to go ten times a second. The
-// first key takes the wheel, and so does a hand on the stick.
+// Teleoperation by keys, on-screen joystick or gamepad. The active input is sent ten times per second. The first key
+// pressed takes control, as does a touch of the joystick.
 
 const PERIOD = 100;
 const DEAD_ZONE = 0.15;
@@ -14,10 +14,10 @@ const KEYS = {
   KeyD: [1, 0],
 };
 
-export class Wheel {
-  // `take` asks for the wheel of the vehicle that is chosen, where that can have an effect.
-  constructor(say, take) {
-    this.say = say;
+export class Teleoperation {
+  // `take` requests control of the selected vehicle and returns false if that is impossible now.
+  constructor(send, take) {
+    this.send = send;
     this.take = take;
     this.mine = false;
     this.free = false;
@@ -27,27 +27,27 @@ export class Wheel {
     this.pad = "";
     this.watchKeys();
     this.watchStick(document.getElementById("stick"));
-    setInterval(() => this.tell(), PERIOD);
+    setInterval(() => this.sendInput(), PERIOD);
   }
 
   watchKeys() {
     window.addEventListener(
       "keydown",
       (event) => {
-        if (event.ctrlKey || event.metaKey || event.altKey || writes(event.target)) return;
+        if (event.ctrlKey || event.metaKey || event.altKey || acceptsText(event.target)) return;
         if (!(event.code in KEYS) && event.code !== "Space") return;
-        // What has the focus keeps its keys until the wheel is taken; a key that is still held takes nothing.
-        if (!this.mine && (!this.free || event.repeat || operates(event.target, event.code) || !this.take())) return;
+        // Without control, the focused element keeps its keys. A key held down does not take control.
+        if (!this.mine && (!this.free || event.repeat || handlesKey(event.target, event.code) || !this.take())) return;
         event.preventDefault();
         event.stopPropagation();
         const fresh = !this.pressed.has(event.code);
         this.pressed.add(event.code);
-        if (fresh) this.tell();
+        if (fresh) this.sendInput();
       },
       true,
     );
     window.addEventListener("keyup", (event) => {
-      if (this.pressed.delete(event.code)) this.tell();
+      if (this.pressed.delete(event.code)) this.sendInput();
     });
     window.addEventListener("blur", () => this.release());
     document.addEventListener("visibilitychange", () => this.release());
@@ -55,7 +55,7 @@ export class Wheel {
 
   watchStick(pane) {
     this.showStick = () => {};
-    if (!pane) return; // who only looks on has none
+    if (!pane) return; // an observer has no joystick
     const knob = pane.querySelector("i");
     const show = () => {
       const [x, y] = this.stick || [0, 0];
@@ -63,9 +63,9 @@ export class Wheel {
     };
     const follow = (event) => {
       const box = pane.getBoundingClientRect();
-      const reach = box.width / 2 - knob.offsetWidth / 2;
-      let x = (event.clientX - box.left - box.width / 2) / reach;
-      let y = -(event.clientY - box.top - box.height / 2) / reach;
+      const radius = box.width / 2 - knob.offsetWidth / 2;
+      let x = (event.clientX - box.left - box.width / 2) / radius;
+      let y = -(event.clientY - box.top - box.height / 2) / radius;
       const length = Math.hypot(x, y);
       if (length > 1) [x, y] = [x / length, y / length];
       this.stick = [x, y];
@@ -75,7 +75,7 @@ export class Wheel {
       if (!this.mine && (!this.free || !this.take())) return;
       pane.setPointerCapture(event.pointerId);
       follow(event);
-      this.tell();
+      this.sendInput();
     });
     pane.addEventListener("pointermove", (event) => {
       if (this.stick) follow(event);
@@ -85,7 +85,7 @@ export class Wheel {
         if (!this.stick) return;
         this.stick = null;
         show();
-        this.tell();
+        this.sendInput();
       });
     }
     this.showStick = show;
@@ -105,7 +105,7 @@ export class Wheel {
     return null;
   }
 
-  // Where the hand points: a vector no longer than 1, "brake", or null where nothing is touched.
+  // Current input: a vector of length 1 at most, "brake", or null without any input.
   read() {
     const pad = this.readPad();
     if (this.pressed.has("Space")) return "brake";
@@ -119,19 +119,19 @@ export class Wheel {
     return this.stick || pad;
   }
 
-  tell() {
+  sendInput() {
     const wanted = this.read();
     if (!this.mine) {
       this.used = false;
       return;
     }
-    if (wanted) this.say({ kind: "drive", deflection: wanted === "brake" ? null : wanted });
-    else if (this.used) this.say({ kind: "drive", deflection: null });
+    if (wanted) this.send({ kind: "drive", deflection: wanted === "brake" ? null : wanted });
+    else if (this.used) this.send({ kind: "drive", deflection: null });
     this.used = wanted !== null;
   }
 
-  // Whose the wheel is: `mine`, `other` or `free`.
-  follow(holder) {
+  // Update who has control: `mine`, `other` or `free`.
+  update(holder) {
     const mine = holder === "mine";
     if (this.mine && !mine) this.release();
     if (!this.mine && mine && document.activeElement instanceof HTMLElement) document.activeElement.blur();
@@ -146,12 +146,12 @@ export class Wheel {
   }
 }
 
-function writes(target) {
+function acceptsText(target) {
   return target instanceof HTMLElement && (target.isContentEditable || ["INPUT", "TEXTAREA", "SELECT"].includes(target.tagName));
 }
 
-// True if an element does something of its own with this key.
-function operates(target, code) {
+// True if an element handles this key itself.
+function handlesKey(target, code) {
   if (!(target instanceof Element)) return false;
   const own = "[role=slider], [role=combobox], [role=listbox], [role=option], [role=menu], [role=radio], [role=tab], .q-menu, .q-dialog";
   return Boolean(target.closest(code === "Space" ? `${own}, a, button, summary, [role=button], [role=switch]` : own));

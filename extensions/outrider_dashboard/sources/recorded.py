@@ -1,4 +1,4 @@
-"""A recording as the hub has it: played at a speed, paused, and wound to any time."""
+"""Recorded run as a source of the page, with playback speed, pause and seek."""
 
 import time
 from bisect import bisect_right
@@ -17,22 +17,22 @@ from outrider.recording.reader import Recording, coverages, grounds, statuses
 from outrider_dashboard.sources.protocol import Playing, SourceState
 from sim.scene.known import geometry_of
 
-_Kept = TypeVar("_Kept", bound=Message)
-_ROOM = 2000
-"""Maps and statuses that are kept; of more, every second one."""
-_PAST = 2400
-"""Truths that the history is told at most when the tape is wound."""
+_Thinned = TypeVar("_Thinned", bound=Message)
+_MAX_MESSAGES = 2000
+"""Maximum number of maps or statuses in memory; beyond it, every second one is dropped."""
+_MAX_SKIPPED = 2400
+"""Maximum number of truths sent to the history when the user seeks."""
 _PERIOD = 0.2
-"""Wall time between two status messages [s], as a simulator's."""
+"""Wall time between two status messages [s]; the same as the simulator's."""
 
 
-class Tape:
-    """One flight of a file that is played; it stands still at its end.
+class RecordedRun:
+    """Playback of one recorded run; stops at its end.
 
     Args:
-        recording: The flight.
+        recording: Run to play.
         speed: Simulated seconds per second of wall time.
-        clock: Wall time [s].
+        clock: Returns the wall time [s].
     """
 
     may_steer = False
@@ -50,11 +50,11 @@ class Tape:
         self._statuses = _thinned(statuses(recording.path, flight=recording.number)) or [
             _unknown_status(recording)
         ]
-        # The last ones are told when the flight is over, and count ticks that were not flown.
+        # The last statuses follow the end of the run; their factors include idle time.
         self._factors = [
-            (told.time, told.realtime_factor)
-            for told in self._statuses
-            if not told.over and told.realtime_factor
+            (status.time, status.realtime_factor)
+            for status in self._statuses
+            if not status.over and status.realtime_factor
         ]
         self._geometry = (
             None if recording.head.scenario is None else geometry_of(recording.scenario)
@@ -63,106 +63,106 @@ class Tape:
         self._note = recording.damage.reason
         self.playing, self.speed = True, speed
         self._at = self._times[0]
-        self._looked: float | None = None
-        self._told = 0.0
-        self._truth = self._status_given = -1  # what was given last
-        self._maps_given = [-1 for _ in self._maps]
-        self._given = self._at
+        self._polled: float | None = None
+        self._status_sent = 0.0
+        self._truth = self._last_status = -1  # indices of the messages sent last
+        self._last_maps = [-1 for _ in self._maps]
+        self._last_time = self._at
 
     @property
     def begin(self) -> float:
-        """Of the recording [s]."""
+        """Start of the recording [s]."""
         return self._times[0]
 
     @property
     def end(self) -> float:
-        """Of the recording [s]."""
+        """End of the recording [s]."""
         return self._times[-1]
 
-    # What people want
+    # Playback
 
     def play(self) -> None:
-        """Go on; from the start, where the end was reached."""
+        """Resume playback; restart if the end was reached."""
         if self._at >= self.end:
-            self.wind(self.begin)
+            self.seek(self.begin)
         self.playing = True
 
     def pause(self) -> None:
-        """Stand still."""
+        """Pause playback."""
         self.playing = False
 
-    def wind(self, to: float) -> None:
-        """Show another time [s]."""
+    def seek(self, to: float) -> None:
+        """Jump to a time [s]."""
         self._at = min(max(to, self.begin), self.end)
-        self._told = 0.0
+        self._status_sent = 0.0
 
     def step(self, ticks: int) -> None:
-        """Stand still some ticks further on."""
+        """Pause, and advance by some ticks."""
         self.pause()
-        self.wind(self._times[min(max(self._index() + ticks, 0), len(self._times) - 1)])
+        self.seek(self._times[min(max(self._index() + ticks, 0), len(self._times) - 1)])
 
-    # What the hub wants
+    # Source
 
     def _index(self) -> int:
         return max(0, bisect_right(self._times, self._at + 1e-9) - 1)
 
     def news(self) -> Iterator[Message]:
-        """The messages to be shown since the last call."""
+        """Yield the messages up to the current playback time."""
         now = self._clock()
-        if self.playing and self._looked is not None:
-            self._at = min(self.end, self._at + (now - self._looked) * self.speed)
+        if self.playing and self._polled is not None:
+            self._at = min(self.end, self._at + (now - self._polled) * self.speed)
             self.playing = self._at < self.end
-        self._looked = now
+        self._polled = now
         index = self._index()
-        yield from self._on_the_way_to(index)
-        if now - self._told >= _PERIOD or not self.playing:
-            self._told = now
+        yield from self._up_to(index)
+        if now - self._status_sent >= _PERIOD or not self.playing:
+            self._status_sent = now
             yield self._status(self._truths[index])
         for kind, maps in enumerate(self._maps):
-            newest = bisect_right(maps, self._truths[index].tick, key=lambda told: told.tick) - 1
-            if newest not in (-1, self._maps_given[kind]):
-                self._maps_given[kind] = newest
+            newest = bisect_right(maps, self._truths[index].tick, key=lambda one: one.tick) - 1
+            if newest not in (-1, self._last_maps[kind]):
+                self._last_maps[kind] = newest
                 yield maps[newest]
 
-    def _on_the_way_to(self, index: int) -> Iterator[Status | Truth]:
-        """The truths from where the tape was (its start if it was wound back) to this one, and statuses between."""
+    def _up_to(self, index: int) -> Iterator[Status | Truth]:
+        """Yield the truths and statuses since the last call, or since the start after seeking back."""
         if index == self._truth:
             return
         first = self._truth + 1 if index > self._truth else 0
         self._truth = index
         for truth in (
-            *self._truths[first : index : max(1, (index - first) // _PAST)],
+            *self._truths[first : index : max(1, (index - first) // _MAX_SKIPPED)],
             self._truths[index],
         ):
-            if self._status_index(truth.time) != self._status_given:
+            if self._status_index(truth.time) != self._last_status:
                 yield self._status(truth)
-            self._given = truth.time
+            self._last_time = truth.time
             yield truth
 
     def _status_index(self, at: float) -> int:
-        return max(0, bisect_right(self._statuses, at + 1e-9, key=lambda told: told.time) - 1)
+        return max(0, bisect_right(self._statuses, at + 1e-9, key=lambda status: status.time) - 1)
 
     def _status(self, truth: Truth) -> Status:
-        self._status_given = self._status_index(truth.time)
-        told = self._statuses[self._status_given]
+        self._last_status = self._status_index(truth.time)
+        recorded = self._statuses[self._last_status]
         return msgspec.structs.replace(
-            told,
+            recorded,
             tick=truth.tick,
             time=truth.time,
             paused=not self.playing and self._at < self.end,
-            geometry=told.geometry or self._geometry,
-            over=told.over and self._at >= self.end,
+            geometry=recorded.geometry or self._geometry,
+            over=recorded.over and self._at >= self.end,
         )
 
     @property
     def factor(self) -> float:
-        """As it was when the truth that was given last was flown."""
-        at = bisect_right(self._factors, (self._given + 1e-9, 0.0)) - 1
+        """Recorded real-time factor at the truth sent last."""
+        at = bisect_right(self._factors, (self._last_time + 1e-9, 0.0)) - 1
         return self._factors[max(0, at)][1] if self._factors else 0.0
 
     @property
-    def standing(self) -> SourceState:
-        """The state of the recording."""
+    def state(self) -> SourceState:
+        """Playback state of the recording."""
         playing = Playing(
             file=self._file,
             begin=self.begin,
@@ -174,30 +174,30 @@ class Tape:
         )
         if self._at < self.end:
             return SourceState(replay=playing)
-        why = f": the file is not whole, {self._note}" if self._note else ""
-        return SourceState(level="info", line=f"The recording ends here{why}.", replay=playing)
+        why = f": the file is incomplete, {self._note}" if self._note else ""
+        return SourceState(level="info", line=f"End of the recording{why}.", replay=playing)
 
     def control(self, _control: Control) -> bool:
-        """Send nothing: a recording takes no commands."""
+        """Return False: a recording accepts no commands."""
         return False
 
     def drive(self, _vehicle: str, _drive: Teleoperation) -> bool:
-        """Nobody receives it."""
+        """Return False: the vehicles of a recording cannot be driven."""
         return False
 
     def close(self) -> None:
-        """Nothing to be done."""
+        """Do nothing: a recording holds no resources."""
 
 
-def _thinned(messages: Iterable[_Kept]) -> list[_Kept]:
-    """Not more than there is room for, evenly; the last one is among them."""
-    kept: list[_Kept] = []
+def _thinned(messages: Iterable[_Thinned]) -> list[_Thinned]:
+    """Return evenly spaced messages, at most `_MAX_MESSAGES`, including the last one."""
+    kept: list[_Thinned] = []
     stride, last = 1, None
     for number, message in enumerate(messages):
         last = message
         if number % stride == 0:
             kept.append(message)
-            if len(kept) > _ROOM:
+            if len(kept) > _MAX_MESSAGES:
                 kept, stride = kept[::2], 2 * stride
     if last is not None and kept[-1] is not last:
         kept.append(last)
@@ -205,7 +205,7 @@ def _thinned(messages: Iterable[_Kept]) -> list[_Kept]:
 
 
 def _unknown_status(recording: Recording) -> Status:
-    """Of a file that was cut off before its first one."""
+    """Return a status for a file that was truncated before its first status."""
     head, first = recording.head, recording.truths[0]
     return Status(
         scenario=head.name,
