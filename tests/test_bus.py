@@ -165,7 +165,7 @@ def test_oversized_messages_are_dropped_or_refused(sessions):
         if any(observer.refused.values()):
             break
     assert list(observer.fault.values()) == [
-        f"{TRUTH.largest + 1} bytes; allowed up to {TRUTH.largest}"
+        f"{TRUTH.largest + 1} bytes; allowed: at most {TRUTH.largest}"
     ]
 
 

@@ -123,7 +123,7 @@ def test_a_vehicle_that_cannot_live_is_not_started_for_ever(tmp_path: Path) -> N
     assert run.returncode == 1
     assert "uav_0 (pid" in run.stderr
     assert "ended with exit code 3" in run.stderr
-    assert "not started again" in run.stderr
+    assert "is not restarted" in run.stderr
     assert "did not reconnect" not in run.stderr  # the run has ended at once: nobody waited for it
     assert json.loads(run.stdout)["complete"] is False
 
