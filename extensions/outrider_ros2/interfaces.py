@@ -41,7 +41,7 @@ def require_extra() -> None:
 
 @cache
 def type_store() -> Any:  # noqa: ANN401 - rosbags' store of generated classes
-    """Return the types of ROS 2 Jazzy, including those of the offered services."""
+    """Return the types of ROS 2 Jazzy, including the offered services."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415
 
     store = get_typestore(Stores.ROS2_JAZZY)
