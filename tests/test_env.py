@@ -254,11 +254,6 @@ def test_nothing_works_before_the_first_reset_or_after_the_end():
     env.step(GOOD)
 
 
-def test_a_scenario_that_cannot_be_flown_is_refused():
-    with pytest.raises(ScenarioError, match=r"outside Q"):
-        parallel_env(msgspec.structs.replace(ONE, uav=(Uav(position=(50.0, 10.0)),)))
-
-
 def test_an_unknown_scenario_or_agent_is_refused():
     with pytest.raises(ScenarioError, match="no_such_scenario"):
         parallel_env("no_such_scenario")

@@ -206,13 +206,6 @@ def test_an_argument_of_another_type_is_refused_in_one_line(names, options, word
             MAKERS[name](SCENARIO, **options)
 
 
-def test_numbers_of_numpy_are_numbers() -> None:
-    env = MAKERS["parallel"](
-        SCENARIO, duration=np.float32(10), coverage_patch=[np.int64(16), 1], tile_patch=np.int8(5)
-    )
-    assert env.scenario.duration == 10.0
-
-
 @pytest.mark.parametrize("name", MAKERS)
 def test_unknown_argument_is_refused_with_the_allowed_names(name):
     with refused(TypeError, r"'durations': unknown setting; allowed: .*duration, "):

@@ -16,9 +16,8 @@ from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Detections, LinkTable, Ugv, VehicleLinks
+from sim.scenario.types import Detections, LinkTable, Ugv
 from sim.server.flight import Flight
-from sim.world import World
 from staging import stage
 from tabular import words
 
@@ -135,18 +134,6 @@ def test_one_network_for_the_environment_one_process_and_three(tmp_path: Path) -
         over_bus = run.fly()
     assert over_bus.recorder.sha256() == summary.trajectory_sha256
     assert over_bus.world.links.status() == summary.links
-
-
-def test_perfect_links_are_the_identity() -> None:
-    scenario = load_scenario("escort", overrides=["duration=20.0"])
-    assert not World(scenario, 7).links.degraded
-    own = LinkTable(only=(VehicleLinks(vehicle="uav_0"),))
-    one, two = (
-        fly(flown, 7)[1] for flown in (scenario, msgspec.structs.replace(scenario, links=own))
-    )
-    assert one.trajectory_sha256 == two.trajectory_sha256
-    assert one.links["uav_0/commands"].delivered == 400
-    assert one.links["uav_0/commands"].max_age == 0.0
 
 
 def test_an_operator_degrades_a_link_while_it_flies(tmp_path: Path) -> None:

@@ -185,7 +185,7 @@ def test_check_calls_user_functions_like_run(here, command, named_by):
         assert checked.returncode == 0
         assert "loaded with --allow-code alone" in checked.stderr
         own = words("mine.toml --duration 1 --allow-code")
-    checked = command("check", *own)
+    checked = outrider("check", *own, cwd=here)
     flown = command("run", *own, "--in-process", "--no-files")
     assert checked.returncode == flown.returncode == 0
     warned = [line for line in flown.stderr.splitlines() if "warning" in line]

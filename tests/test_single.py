@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import RecordEpisodeStatistics
 
 from outrider.envs.single import single_env
 from outrider.envs.vector import vector_env
@@ -72,26 +71,6 @@ def test_what_it_returns_has_gymnasiums_types() -> None:
     assert [type(value) for value in info.values()] == [bool, bool, str, float]
     env.close()
     assert type(single_env(SCENARIO, agent="ugv_0").reset()[1]["goals_reached"]) is int
-
-
-def test_an_episode_is_counted_once() -> None:
-    env = RecordEpisodeStatistics(single_env(SCENARIO, duration=0.5))
-    env.reset(seed=1)
-    for _ in range(9):
-        assert not env.step(np.zeros(2))[3]
-    _, _, _, truncated, info = env.step(np.zeros(2))
-    assert truncated
-    assert info["episode"]["l"] == 10
-
-
-def test_seeds_start_at_the_scenarios_and_follow_the_last() -> None:
-    one, other = single_env(SCENARIO), single_env(SCENARIO)
-    one.reset()
-    assert one.episode_seed == SCENARIO.seed
-    other.reset(seed=SCENARIO.seed)
-    for env in (one, other):
-        env.reset()
-    assert one.episode_seed == other.episode_seed != SCENARIO.seed
 
 
 def test_metrics_are_plain_numbers() -> None:

@@ -288,7 +288,7 @@ def test_recorded_link_declared_fast_enough_is(how: str, tmp_path: Path) -> None
 
 
 def test_a_long_recording_is_inspected_alike_everywhere(
-    tmp_path: Path, command, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Ten minutes, with nothing from 400 s to 408 s."""
     times = [time for time in range(10, 600_001, 10) if not 400_000 < time < 408_000]
@@ -302,7 +302,7 @@ def test_a_long_recording_is_inspected_alike_everywhere(
         "duration=40.0",
         "certificate.max_measurement_age=2.0",
     )
-    checked = command("check", "escort", *(word for one in changes for word in ("--set", one)))
+    checked = outrider("check", "escort", *(word for one in changes for word in ("--set", one)))
     assert warning in " ".join(checked.stderr.split())
     monkeypatch.setattr(link_assumptions, "_MOST_REPLAYED", 1000)
     (warning,) = assumption_warnings(
