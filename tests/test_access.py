@@ -358,7 +358,7 @@ def test_the_routers_list_of_passwords_is_gone_once_it_is_open(endpoint, monkeyp
 
 def test_two_parties_cannot_have_one_name() -> None:
     for uavs, ugvs in ((["a"], ["a"]), (["simulator"], ["a"]), (["a", "a"], ["b"])):
-        with pytest.raises(ValueError, match="one name"):
+        with pytest.raises(ValueError, match="two parties have this name"):
             new_credentials(RUN, uavs, ugvs)
     assert set(STAFF) <= set(NAMES)
     with pytest.raises(AccessDenied, match="no credentials for uav_7"):
@@ -405,5 +405,5 @@ def test_the_sessions_of_a_party_are_limited(endpoint: str) -> None:
         for one in opened[:PLACES]:
             one.announce()
         assert [one.place for one in opened[:PLACES]] == list(range(PLACES))
-        with pytest.raises(AccessDenied, match=f"ugv_0 has {PLACES} sessions"):
+        with pytest.raises(AccessDenied, match=f"ugv_0 already has {PLACES} sessions"):
             opened[-1].announce()

@@ -459,7 +459,7 @@ def test_folder_of_another_sweep_needs_fresh(tmp_path, monkeypatch):
     with pytest.raises(ScenarioError, match=r"holds another sweep.*--fresh"):
         SweepFolder(tmp_path / "sweep", other, command="")
     monkeypatch.setattr("outrider.experiments.sweep.plan.version", lambda _name: "9.9")
-    with pytest.raises(ScenarioError, match=r"made by outrider .*, this is 9\.9.*--fresh"):
+    with pytest.raises(ScenarioError, match=r"made by Outrider .*, this is 9\.9.*--fresh"):
         SweepFolder(tmp_path / "sweep", plan_of(), command="")
     fresh = SweepFolder(tmp_path / "sweep", other, command="", fresh=True)
     assert fresh.rows == 0
