@@ -32,7 +32,7 @@ LOG_STD = -0.7  # initial value
 HIT = 20.0
 REPORT = 5  # rollouts between two printed lines
 REWARDS = outrider.RewardWeights(
-    uncovered=0.0, sight_lost=0.0, out_of_sight=0.0, progress=1.0, goal=5.0, hit=HIT, told=0.02
+    uncovered=0.0, sight_lost=0.0, out_of_sight=0.0, progress=1.0, goal=5.0, hit=HIT, reported=0.02
 )
 VIEW = {"estimate": True, "gradient": True, "safety_filter": True}
 V_UGV, V_UAV = 0.2, 0.5  # largest chosen speeds [m/s]

@@ -40,9 +40,9 @@ class MapUpdate(Message, frozen=True, kw_only=True):
     """Block of a UAV's ground map, sent to its UGV by radio."""
 
     column: Place
-    """Column of the block: that of its first tile divided by `BLOCK_SIDE`."""
+    """Column of the block: column of its first tile divided by `BLOCK_SIDE`."""
     row: Place
-    """Row of the block: that of its first tile divided by `BLOCK_SIDE`."""
+    """Row of the block: row of its first tile divided by `BLOCK_SIDE`."""
     tiles: Annotated[str, Meta(pattern=r"^[?.~#*]{64}$(?!\n)")]
     """State of each tile, of `TILE_LETTERS`, row by row by increasing y; unknown outside the area."""
 

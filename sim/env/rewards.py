@@ -35,7 +35,7 @@ class RewardWeights:
     """UGV: gain for each goal reached."""
     effort: float = 0.0
     """Both: cost of the squared acceleration [s³/m²]."""
-    told: float = 0.0
+    reported: float = 0.0
     """UAV: gain for each square metre of ground that its UGV receives by radio for the first time [1/m²]."""
     hit: float = 0.0
     """UGV: cost for each hazard hit."""
@@ -51,11 +51,11 @@ class RewardWeights:
                 )
 
 
-UAV_TERMS: tuple[str, ...] = ("uncovered", "seen", "sight_lost", "out_of_sight", "effort", "told")
+UAV_TERMS: tuple[str, ...] = ("uncovered", "seen", "sight_lost", "out_of_sight", "effort", "reported")
 UGV_TERMS: tuple[str, ...] = ("progress", "goal", "effort", "hit", "still")
 """Terms of a vehicle's reward in one tick."""
 
-MISSION_TERMS = ("told", "hit", "still")
+MISSION_TERMS = ("reported", "hit", "still")
 """Terms that are always 0 on ground without hazards."""
 
 
@@ -82,7 +82,7 @@ def uav_terms(
     ticks_lost: int,
     acceleration: tuple[float, float],
     dt: float,
-    told: float,
+    reported: float,
 ) -> tuple[float, float, float, float, float, float]:
     """Return a UAV's reward terms of one tick, in the order of `UAV_TERMS`.
 
@@ -96,7 +96,7 @@ def uav_terms(
         ticks_lost: Ticks charged while out of sight: one, or the rest of the episode if it ends because of that.
         acceleration: Applied acceleration [m/s²].
         dt: Duration of a tick [s].
-        told: Ground that its UGV has received for the first time [m²].
+        reported: Ground that its UGV has received for the first time [m²].
     """
     u_x, u_y = acceleration
     return (
@@ -105,7 +105,7 @@ def uav_terms(
         -weights.sight_lost if lost and not was_lost else 0.0,
         -weights.out_of_sight * ticks_lost * dt if lost else 0.0,
         -weights.effort * (u_x * u_x + u_y * u_y) * dt,
-        weights.told * told,
+        weights.reported * reported,
     )
 
 

@@ -43,7 +43,7 @@ ROOT = Path(__file__).resolve().parents[3]
 SECRET = bytes(range(16)).hex()
 WALL = Hazard(kind="block", polygon=((9.0, 5.0), (9.5, 5.0), (9.5, 7.0), (9.0, 7.0)))
 MUD = Hazard(kind="rough", center=(7.5, 7.5), radius=0.8, speed_share=0.5)
-PAID = outrider.RewardWeights(told=0.05, hit=20.0, still=0.1, effort=0.3)
+PAID = outrider.RewardWeights(reported=0.05, hit=20.0, still=0.1, effort=0.3)
 
 
 def grounded(*, duration: float = 12.0, driver: str = "navigate") -> Scenario:
