@@ -53,11 +53,9 @@ def told(changes, seed, on_tick=None):
     said: list[bool | None] = []
 
     def note() -> None:
-        said.append(
-            None
-            if flight.answers.reports[0] is None
-            else flight.answers.reports[0].decision.certified
-        )
+        report = flight.answers.reports[0]
+        decision = None if report is None else report.decision
+        said.append(None if decision is None else decision.certified)
         if on_tick is not None:
             on_tick(flight)
 
