@@ -30,7 +30,7 @@ from outrider.running.resolve import resolve
 from outrider.running.summary import summarize
 from outrider.running.user_code import foreign_code
 from outrider.view.flight_picture import flight_figure
-from processes import ran
+from processes import outrider, ran
 from sim.scenario.checks import scenario_warnings
 from sim.scenario.loading import load_scenario, scenario_names, schema_text, shipped_text
 from sim.scenario.types import Custom
