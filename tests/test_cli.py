@@ -90,7 +90,7 @@ owner | credentials --owner me | --owner 'me'
 clock without processes | run --in-process --realtime 1 | --realtime
 clock that runs back | run --realtime -1 | --realtime
 page without processes | run --in-process --with dashboard | in-process
-page and numbers | replay nowhere.mcap --with dashboard --json | --with plays
+page and numbers | replay nowhere.mcap --with dashboard --json | --with cannot be combined
 unknown companion | run --with dashbord | --with dashbord
 scenario to show | scenarios show circel | circle
 falsify, unknown law | falsify --law fancy | law.name = "fancy"
@@ -115,19 +115,19 @@ suite, unknown law | suite --law lograithmic | law 'lograithmic': unknown
 suite, unknown task | suite --only nosie | unknown task, did you mean 'noise'?; allowed: paper,
 suite, policy not there | suite --uav-policy nowhere:f | --uav-policy = 'nowhere:f'
 suite, no secret | suite --law linear --secret 1234 | --secret: 4 characters: not a secret; allowed:
-suite, estimate for a law | suite --estimate | --estimate: for a --uav-policy alone
-suite, two outputs | suite --law linear --markdown --json | both want stdout
+suite, estimate for a law | suite --estimate | --estimate: applies to policies only
+suite, two outputs | suite --law linear --markdown --json | both write to stdout
 unit of another's agent | fmu export uav escort --agent ugv_0 | no uav of escort; allowed: uav_0
 unit of a world's agent | fmu export world escort --agent uav_0 | the world contains all agents
 unit's name | fmu export world escort --out world.zip | world.zip: not a unit's name; allowed: FILE.fmu
 unit's folder | fmu export world escort --out no/world.fmu | no/world.fmu: No such file or directory
 unit of no scenario | fmu export ugv escrot | escrot: no such file or scenario
-ground stations of strangers | mavlink --in udpin:0.0.0.0:14550 | say --insecure
+ground stations of strangers | mavlink --in udpin:0.0.0.0:14550 | or --insecure
 unknown ground station | mavlink --to udpout:nowhere.invalid:14550 | nowhere.invalid:14550: Name
-domain | ros2 --domain 233 | --domain 233: allowed are 0 to 232
+domain | ros2 --domain 233 | --domain 233: out of range; allowed: 0 to 232
 namespace | ros2 --namespace pilot | 'pilot'
-namespace of a vehicle | ros2 --vehicle uav_0 --namespace fleet | --namespace and --vehicle
-no vehicle | ros2 --vehicle drone | begin with uav or ugv
+namespace of a vehicle | ros2 --vehicle uav_0 --namespace fleet | --namespace cannot be combined with --vehicle
+no vehicle | ros2 --vehicle drone | begins with uav or ugv
 """)
 BROKEN = rows(r"""
 no router | uav --connect tcp/127.0.0.1:1 --join-timeout 0.2 | tcp/127.0.0.1:1 within 0.2 s: Connection refused
@@ -261,7 +261,7 @@ def test_credentials_are_made_once_and_each_party_gets_its_own(here, command) ->
     assert "never overwritten" in again.stderr
     borrowed = command("uav", "--credentials", files["ugv_0"])
     assert borrowed.returncode == 2
-    assert "the credentials of ugv_0 (ugv), not of uav_0 (uav)" in borrowed.stderr
+    assert "credentials of ugv_0 (ugv); allowed: uav_0 (uav)" in borrowed.stderr
     another = command("router", "--credentials", files["router"], "--run", "day")
     assert another.returncode == 2
     assert "for the run night" in another.stderr

@@ -282,7 +282,7 @@ def test_keys_drive_the_ugv_and_restore_the_terminal(endpoint):
             "321.5 m²",
             "▲",
             "■",
-            "real time (wanted x 1)",
+            "real time (target x 1)",
         )
         assert not simulator.controls  # to look on changes nothing
         assert termios.tcgetattr(one.slave) != one.before
@@ -330,7 +330,7 @@ def test_of_two_terminals_only_the_one_that_drives_says_so(endpoint: str) -> Non
         for key in "hq":
             first.press(key)
         assert first.ends() == 0
-        assert "left to another operator" in first.told
+        assert "another operator drives" in first.told
         assert simulator.asked("script") == 0
         second.press("h")
         second.until_shown("script drives ugv_0")

@@ -18,7 +18,7 @@ app = typer.Typer(invoke_without_command=True, add_completion=False, rich_markup
 
 @app.callback()
 def command(context: typer.Context) -> None:
-    """Fit links to recordings, and compute bounds that links satisfy.
+    """Fit links to recordings, and compute their bounds.
 
     Example: outrider network bounds escort --network wifi --risk 1e-3
     """
@@ -46,7 +46,7 @@ def fit(
     ] = 1000,
     json: Json = False,
 ) -> None:
-    """Fit link settings to a recording, and find the nearest shipped profile.
+    """Fit link settings and the nearest profile to a recording.
 
     The fit covers delay, jitter and its shape, loss, bursts and random blackouts, and prints the lines for a scenario.
     A link's wait is the time until a message or a later one arrives. The factor is the mean ratio of the waits of two

@@ -60,7 +60,7 @@ def command(
     every_tick: _EveryTick = False,
     json: options.Json = False,
 ) -> None:
-    """Publish a run to ROS 2 nodes, or let them control its vehicles.
+    """Connect a run or its vehicles to ROS 2.
 
     The command uses the wire format of rmw_zenoh on the run's router. ROS 2 nodes with
     RMW_IMPLEMENTATION=rmw_zenoh_cpp connect to the same router as clients. They receive odometry, transforms, maps,

@@ -358,9 +358,9 @@ def test_what_an_entry_observes_in_one_task_tells_nothing_of_the_noise_in_anothe
 
 
 def test_two_tasks_of_one_name_and_an_entry_that_is_none_are_refused() -> None:
-    with refused(ValueError, "short, slow, short: two have one name"):
+    with refused(ValueError, "short, slow, short: duplicate name"):
         leaderboard({"mine": hover}, tasks=[TASK, SLOW, TASK])
-    with refused(ValueError, "entry = None: allowed is a law by name, a policy or a team"):
+    with refused(ValueError, "entry = None; allowed: a law by name, a policy or a team"):
         leaderboard({"mine": None}, tasks=[TASK])
 
 
