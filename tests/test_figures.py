@@ -175,18 +175,18 @@ def test_another_law_in_place_of_the_logarithmic_breaks_figure_3(flights):
     alone, _ = fly(load_scenario("figure-3-logarithmic", overrides=["law.name=coverage"]), 0)
     wrong = failing(claims_3(flights["linear"], flights["switching"], alone))
     assert ("3", "logarithmic: ‖p_Δ‖ < r_v") in wrong
-    assert ("3", "logarithmic goes further out than linear, without sliding") in wrong
+    assert ("3", "logarithmic goes farther out than linear, without sliding") in wrong
 
 
 @pytest.mark.parametrize(
     ("flown", "figure", "claim"),
     rows("""
 linear logarithmic switching | 3 | switching slides on r_s
-linear logarithmic switching | 3 | logarithmic goes further out than linear, without sliding
-switching linear logarithmic | 3 | linear is conservative: it stays nearest and well inside r_s
+linear logarithmic switching | 3 | logarithmic goes farther out than linear, without sliding
+switching linear logarithmic | 3 | linear is conservative: it stays closest, well inside r_s
 high low bounded | 1b | the velocity error falls with a higher k_v
 low high logarithmic | 1a | coverage alone leaves the circle of radius r_v around the UGV
-low linear bounded | 1b | at a high k_v its only peaks are where u_si turns
+low linear bounded | 1b | at a high k_v, the velocity error peaks only where u_si turns
 """),
 )
 def test_flights_in_the_place_of_others_break_figures_1_and_3(flights, flown, figure, claim):
@@ -219,7 +219,7 @@ def test_swapped_circle_and_coverage_break_figures_4_and_5(flights):
     wrong = failing(claims_5(ours, circle, flights["beside, circle"], flights["beside"]))
     assert {claim for figure, claim in wrong if figure == "5c"} >= {
         "beside covered ground (0 to 40 s) the difference is larger",
-        "and e(t) is steadier",
+        "e(t) is steadier",
     }
 
 

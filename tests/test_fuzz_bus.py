@@ -210,8 +210,8 @@ def test_flood_of_garbage_is_counted_and_changes_no_flight(tmp_path: Path) -> No
     assert flight.complete
     assert flight.answers.missing == flight.answers.stale == {"uav_0": 0, "ugv_0": 0}
     assert flight.recorder.sha256() == undisturbed.recorder.sha256()
-    assert vehicles["ugv_0"].refused == {"does not decode": TICKS * GARBAGE_PER_TICK}
-    assert vehicles["uav_0"].refused == {"does not decode": TICKS}
+    assert vehicles["ugv_0"].rejected == {"does not decode": TICKS * GARBAGE_PER_TICK}
+    assert vehicles["uav_0"].rejected == {"does not decode": TICKS}
     assert uav.observations.refused == {"uav_0": TICKS}
     assert len({*run.events} - {stranger}) == len(run.events) - 1 == 2
 

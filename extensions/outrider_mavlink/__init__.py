@@ -1,4 +1,4 @@
-"""MAVLink over UDP: show a run in ground stations, or control a UAV.
+"""Connect a run to MAVLink ground stations.
 
 A UAV is controlled by offboard setpoints, or a real autopilot tracks its reference state.
 """

@@ -1,1 +1,1 @@
-"""Fit links to recordings, and compute bounds that links satisfy."""
+"""Fit links to recordings, and compute bounds."""

@@ -105,7 +105,7 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def _polygon_faults(path: str, hazard: Hazard) -> Iterator[Fault]:
     """Check that a polygon has three or more corners, an area, and sides that meet only at corners."""
-    corners = np.array(hazard.polygon)
+    corners = np.array(hazard.corners)
     count = len(corners)
     if count < 3:
         yield Fault(

@@ -113,7 +113,7 @@ def _way_bits(way: int) -> int:
 
 def corners_of(hazards: tuple[Hazard, ...]) -> FloatArray:
     """Return the corners of all polygons, concatenated [m]. Shape (corners, 2)."""
-    found = [corner for hazard in hazards for corner in hazard.polygon]
+    found = [corner for hazard in hazards for corner in hazard.corners]
     return np.array(found, dtype=np.float64).reshape(-1, 2)
 
 
