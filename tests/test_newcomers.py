@@ -63,7 +63,7 @@ def test_user_module_with_a_package_name_is_explained(here, command):
         "run", "--in-process", *words("--driver policy --set custom.policy=wants_bus:wheel")
     )
     assert done.returncode == 2
-    assert "bus.py beside it is not found: Outrider has that name" in done.stderr
+    assert "bus.py in this folder is hidden by Outrider" in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 
@@ -183,7 +183,7 @@ def test_check_calls_user_functions_like_run(here, command, named_by):
         (here / "mine.toml").write_text(f'{text}\n[custom]\npath = "spinning:spin"\n')
         checked = command("check", "mine.toml")
         assert checked.returncode == 0
-        assert "loaded with --allow-code alone" in checked.stderr
+        assert "allow it with --allow-code" in checked.stderr
         own = words("mine.toml --duration 1 --allow-code")
     checked = outrider("check", *own, cwd=here)
     flown = command("run", *own, "--in-process", "--no-files")
@@ -248,7 +248,7 @@ def test_new_scenario_copies_a_shipped_one_and_replaces_no_file(tmp_path, comman
     file = tmp_path / "Käfig 1.toml"
     made = command("scenarios", "new", file, "--from", "circle")
     assert made.returncode == 0
-    assert f"outrider check '{file}' says" in made.stdout  # so that it can be copied
+    assert f"outrider check '{file}'" in made.stdout  # so that it can be copied
     assert load_scenario(file, overrides={"name": "circle"}) == load_scenario("circle")
     beside = json.loads((tmp_path / "scenario.schema.json").read_text())
     assert beside == json.loads(json.dumps(schema))
@@ -276,7 +276,7 @@ def test_the_doctor_finds_what_is_here_and_what_is_not(monkeypatch, command):
     found = {row["what"]: row for row in json.loads(done.stdout)["findings"]}
     assert found["packages"]["state"] == "ok"
     assert found["[tls]"]["state"] == "missing"
-    assert "pip install -e '.[tls]'" in found["[tls]"]["told"]
+    assert "pip install -e '.[tls]'" in found["[tls]"]["details"]
     assert found["[record]"]["state"] == "ok"
 
 

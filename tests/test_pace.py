@@ -68,7 +68,7 @@ class Bus:
         time.sleep(min(patience, 0.01))
         return None
 
-    def take(self, envelope, _tick, commands, *, oldest=None):
+    def accept(self, envelope, _tick, commands, *, oldest=None):
         commands[envelope.sender] = envelope
         return True
 
