@@ -156,7 +156,7 @@ def test_an_operator_degrades_a_link_while_it_flies(tmp_path: Path) -> None:
             for told, kind, more in (
                 ("has no link", LinkKind.RADIO, {"vehicle": "ugv_0", "settings": LinkSettings()}),
                 ("bursts never end", LinkKind.RADIO, {"settings": LinkSettings(burst_length=1.0)}),
-                ("one is missing", LinkKind.DETECTIONS, {}),
+                ("both are required", LinkKind.DETECTIONS, {}),
             ):
                 degrade(kind, **more)
                 status(lambda s, told=told: any(told in line for line in s.refusals))

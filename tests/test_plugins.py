@@ -161,7 +161,7 @@ def test_check_knows_them(package: Path) -> None:
     ("points", "told"),
     [
         ({"outrider.laws": {"gone": "my_package.rows:GONE"}}, "outrider.laws: 'gone' of my-package is ignored: module"),
-        ({"outrider.laws": {"cone": "my_package.rows:CONE"}}, "is ignored: my_package.rows:CONE is no LawRow"),
+        ({"outrider.laws": {"cone": "my_package.rows:CONE"}}, "is ignored: my_package.rows:CONE is not a LawRow"),
     ],
     ids=["nothing there", "another kind"],
 )  # fmt: skip

@@ -262,9 +262,9 @@ def test_failing_import_is_named_in_one_line(here: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "told"),
     [
-        ("queue:wheel", r"queue\.py in this folder is not found, as Python finds .*/queue\.py"),
-        ("queue.py:wheel", r"queue\.py in this folder is not found, as Python finds .*/queue\.py"),
-        ("sys:wheel", "the module 'sys' of Python itself has no 'wheel'"),
+        ("queue:wheel", r"queue\.py in this folder is hidden by .*queue"),
+        ("queue.py:wheel", r"queue\.py in this folder is hidden by .*queue"),
+        ("sys:wheel", "sys.* has no 'wheel'"),
         ("json:dmups", r"json/__init__\.py has no 'dmups', did you mean 'dumps'\?"),
         ("my_drivers:whel", r"my_drivers\.py has no 'whel', did you mean 'wheel'\?"),
         ("my_driver:wheel", "no module 'my_driver' .*, did you mean 'my_drivers'\\?"),

@@ -163,7 +163,7 @@ def test_what_is_said_of_a_link_is_what_the_link_does(settings: LinkSettings) ->
     ("changes", "told"),
     rows("""
 command_timeout=0.2 & links.commands.delay=0.25
-| hold = 0.2: commands are 0.25 s old or more on arrival (links.commands of uav_0)
+| command_timeout = 0.2: commands are 0.25 s old or more on arrival (links.commands of uav_0)
 command_timeout=0.0 & links.commands.delay=0.01 | allowed: 0.05 s or more
 dt=0.2 & detections.rate=5.0 & links.commands.delay=0.5 | allowed: 0.6 s or more
 links.only=[{vehicle="uav_0",commands={delay=0.8,jitter=0.2}}]

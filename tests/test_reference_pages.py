@@ -38,7 +38,7 @@ def test_reference_covers_every_command_and_option(generator):
         assert f"```sh\noutrider {name}" in text
         rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| `")]
         assert all(len(row) == 3 and row[1].strip() for row in rows), name
-    assert "| `--seed` INTEGER | Seed of all random numbers" in sections["run"]
+    assert "| `--seed` INTEGER | Set the seed of all random numbers" in sections["run"]
 
 
 @pytest.mark.parametrize("generator", ["bus_messages"], indirect=True)

@@ -125,7 +125,7 @@ def test_a_flight_cut_short_is_drawn(ticks, tmp_path):
 
 
 def test_nothing_flown_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="nothing to draw"):
+    with pytest.raises(ValueError, match="no recorded state"):
         draw_flight(Flight(scenario(), 0), tmp_path / "flight.png")
     assert not (tmp_path / "flight.png").exists()
 

@@ -40,7 +40,7 @@ def test_the_interval_of_a_mean_is_student_s():
     assert mean_interval([3.0, 3.0]) == (3.0, 3.0, 3.0)
     mean, low, high = mean_interval([2.0])
     assert (mean, math.isnan(low), math.isnan(high)) == (2.0, True, True)
-    with pytest.raises(ValueError, match="no values"):
+    with pytest.raises(ValueError, match="values: empty"):
         mean_interval([])
 
 
@@ -245,7 +245,7 @@ def test_unfinished_sweep_is_marked_and_an_empty_one_refused(tmp_path):
     assert "Not finished:" in page(material, {}, "")
     with SweepFolder(tmp_path / "empty", plan, command=""):
         pass
-    with pytest.raises(ScenarioError, match="no run is flown yet"):
+    with pytest.raises(ScenarioError, match="no results yet"):
         read_material([tmp_path / "empty"])
     with pytest.raises(ScenarioError, match="not a folder of a sweep"):
         read_material([tmp_path])
@@ -256,7 +256,7 @@ def test_a_sweep_of_nothing_but_failures_can_be_reported(tmp_path):
     rows = [{**dict.fromkeys(RESULTS), "run": run, "error": "no"} for run in range(plan.runs)]
     material = read_material([kept(tmp_path / "sweep", plan, rows, whole=False)])
     pictures = draw_all(material, tmp_path)
-    assert "No run was flown to its end" in page(material, pictures, "")
+    assert "No run is complete." in page(material, pictures, "")
 
 
 def test_report_writes_page_and_pictures_and_prints_json(tmp_path, command):

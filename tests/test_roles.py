@@ -92,6 +92,6 @@ def test_a_run_without_its_parties_lets_nothing_of_it_through() -> None:
 
 def test_a_role_that_is_not_installed_is_unknown() -> None:
     for role in ("nothing", "guest"):
-        with refused(AccessDenied, f"role {role!r} is unknown here"):
+        with refused(AccessDenied, f"role {role!r} is unknown; is its extension installed"):
             party_of(role, "x")
     assert party_of("observer", OBSERVER_NAME) == Party(role=Role.OBSERVER, name=OBSERVER_NAME)

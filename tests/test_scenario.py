@@ -165,7 +165,7 @@ def test_a_scenario_made_in_python_is_held_to_the_same() -> None:
         ({"dt": None}, "here: dt: not a number; allowed: a number"),
         ({"ugv": ()}, "here: ugv = []: out of bounds; allowed: a list of length >= 1"),
         ({"duration": math.nan}, "here: duration = nan: "),
-        ({"title": object()}, "here: object is no number, text, list or table; allowed: "),
+        ({"title": object()}, "here: object is not a number, text, list or table; allowed: "),
         ({"uav": (Uav(position=(1, 2, 3)),)}, "here: uav.0.position = [1, 2, 3]: out of bounds"),
     ):
         with pytest.raises(ScenarioError, match=re.escape(line)):

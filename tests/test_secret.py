@@ -183,7 +183,7 @@ def test_where_one_is_wanted_it_is_new_unless_it_is_given(secret_file: str) -> N
     [
         (None, "No such file"),
         (b"", "is empty; allowed: 32 to 128"),
-        (b"\xff" * 40, "is no text"),
+        (b"\xff" * 40, "not a text file"),
         (b"0" * 31, "31 characters: not a secret; allowed: "),
         (b"0" * 10**6, "1000 characters: not a secret"),
         (b"my very own passphrase, and it is long", "38 characters: not a secret"),

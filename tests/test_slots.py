@@ -182,7 +182,7 @@ def test_second_session_takes_a_free_slot(tmp_path: Path) -> None:
             if run.server.flight.world.tick == 50 and not spare.is_set():
                 spare.set()
                 run.start("uav_0")
-                wait_until(lambda: run.server.vehicles()["uav_0"].refused != {})
+                wait_until(lambda: run.server.vehicles()["uav_0"].rejected != {})
 
         flight = run.fly(stand_by)
     assert flight.recorder.sha256() == whole(300).recorder.sha256()
@@ -292,7 +292,7 @@ def test_a_flood_of_messages_neither_stops_the_clock_nor_the_end(payload, tmp_pa
         try:
             flight = run.fly()
             elapsed = time.monotonic() - started
-            refused = run.server.vehicles()["ugv_0"].refused
+            refused = run.server.vehicles()["ugv_0"].rejected
             run.server_session.close()
         finally:
             over.set()

@@ -458,7 +458,7 @@ def test_a_scenario_names_recordings_beside_it_or_below(trace, told, tmp_path) -
         (("links.radio.loss=0.1",), "links.radio.loss = 0.1: cannot be combined with a table"),
         (("links.radio.profile=wifi",), "links.radio.jitter = 0.003: cannot be combined with"),
         (("links.radio.bandwidth=5",), "links.radio.bandwidth = 5.0: cannot be combined with"),
-        (("links.radio.duplicates=0.5",), "allowed: 0; delay and blackouts may"),
+        (("links.radio.duplicates=0.5",), "allowed: 0; delay and blackouts can"),
     ],
 )
 def test_what_cannot_stand_beside_a_recording_is_refused(changes, told, tmp_path) -> None:
@@ -475,7 +475,7 @@ def test_content_that_is_not_the_files_is_refused() -> None:
     other = msgspec.structs.replace(BOTH[0], content=BOTH[1].content)
     broken = msgspec.structs.replace(BOTH[0], content=b"no zlib")
     for one in (other, broken):
-        with pytest.raises(ScenarioError, match="recorded link table: damaged"):
+        with pytest.raises(ScenarioError, match="trace table: damaged"):
             check_link(LinkSettings(trace="table"), "radio", (one,))
 
 

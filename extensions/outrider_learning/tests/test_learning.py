@@ -228,7 +228,7 @@ def _bad_files(folder: Path) -> dict[str, str]:
     save_policy(folder / "list.npz", network, [])  # type: ignore[arg-type]
     cannot = "cannot be read"
     return dict.fromkeys(_UNREADABLE, cannot) | {
-        "gap": "do not follow each other",
+        "gap": "do not fit together",
         "nan": "not finite",
         "recipe": "recipe: KeyError",
         "view": "the recipe's view needs 21 to 2",

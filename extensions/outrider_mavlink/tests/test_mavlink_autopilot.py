@@ -212,7 +212,7 @@ def test_an_autopilot_that_restarts_is_believed_again(along, monkeypatch):
     other = Autopilot(along.link, along.autopilot.to[1])
     (why,) = texts(other.send(other.heartbeat()))
     assert OTHER_AUTOPILOT in why
-    assert why.endswith("accepted after 3 s of its silence")
+    assert why.endswith("accepted after 3 s of silence")
     monkeypatch.setattr(module, "_PEER_TIMEOUT", -1.0)
     told = other.send(other.heartbeat(), other.report())
     assert of(told, "COMMAND_LONG")  # it does not know what it was asked for

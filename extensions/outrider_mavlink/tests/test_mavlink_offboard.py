@@ -188,7 +188,7 @@ def test_flying_away_is_stopped_by_the_filter(run):
     assert run.pilot.interventions > 50
     assert summary.certified_share == 1.0
     run.gateway.refresh()
-    assert "the safety filter acts: sight of the UGV would be lost" in texts(run.station.told())
+    assert "the safety filter acts: the UGV would be lost from sight" in texts(run.station.told())
 
 
 def test_a_law_without_a_filter_gets_one_when_setpoints_may_come():

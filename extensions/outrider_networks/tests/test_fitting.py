@@ -109,7 +109,7 @@ def test_the_command_fits_a_mahimahi_file_and_draws_it(here, command, monkeypatc
     told = command("network", "fit", "drive")
     assert told.returncode == 2
     assert told.stderr == (
-        "outrider: drive: no message arrives; allowed: a recording with one that does\n"
+        "outrider: drive: no message arrives; allowed: recordings with received messages\n"
     )
 
 

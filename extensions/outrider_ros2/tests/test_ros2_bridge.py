@@ -165,7 +165,7 @@ def test_who_comes_late_gets_the_map_and_the_graph_shows_every_topic(tmp_path: P
 class Reader:
     """A publisher that has been read from the beginning, and what it has sent."""
 
-    wanted, found = True, 1
+    wanted, matches = True, 1
 
     def __init__(self) -> None:
         self.got: list[bytes] = []
