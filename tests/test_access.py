@@ -399,7 +399,7 @@ def test_a_password_is_never_shown() -> None:
 
 def test_the_sessions_of_a_party_are_limited(endpoint: str) -> None:
     with ExitStack() as stack:
-        stack.enter_context(hosted(endpoint))
+        stack.enter_context(hosted(endpoint, GIVEN))
         ugv = GIVEN.of("ugv_0")
         opened = [stack.enter_context(client_of(endpoint, ugv)) for _ in range(PLACES + 1)]
         for one in opened[:PLACES]:

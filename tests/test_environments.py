@@ -81,7 +81,7 @@ def test_bad_action_is_refused_and_changes_nothing(name, action, words):
 @pytest.mark.parametrize(
     ("actions", "words"),
     [
-        (np.zeros((3, 2)), r"shape \(3, 2\) and type float64; must be \(2, 2\) numbers"),
+        (np.zeros((3, 2)), r"shape \(3, 2\) and type float64; allowed: \(2, 2\) numbers"),
         (np.zeros(2), r"shape \(2,\)"),
         ([GOOD, [0.0, math.nan]], r"world 1 = \[0.0, nan\]"),
         ([[math.inf, 0.0], GOOD], "world 0"),

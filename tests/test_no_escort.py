@@ -140,7 +140,9 @@ def test_a_sweep_flies_a_ugv_alone_but_no_laws_over_it() -> None:
     _, summary = fly(plan.points[0].scenario, 1)
     row = row_of(summary, 1.0)
     assert (row["margin"], row["violated"]) == (None, False)
-    with pytest.raises(ScenarioError, match=r"^minefield: laws = \['circle'\]: the scenario has no UAV"):
+    with pytest.raises(
+        ScenarioError, match=r"^minefield: laws = \['circle'\]: the scenario has no UAV"
+    ):
         lay_out(Sweep(scenario="minefield", laws=("circle",), set=alone, block=(block,)))
 
 

@@ -99,9 +99,11 @@ def test_lines_are_the_recorded_flight(flight):
         panel(figure, "Distance").lines[0].get_ydata(), flight.recorder.escorts[:, 0, 0]
     )
     np.testing.assert_array_equal(
-        panel(figure, "Ground").lines[0].get_ydata(), flight.recorder.escorts[:, 0, 1]
+        panel(figure, "Coverage error").lines[0].get_ydata(), flight.recorder.escorts[:, 0, 1]
     )
-    np.testing.assert_allclose(panel(figure, "Ground").lines[0].get_xdata(), np.arange(201) * 0.05)
+    np.testing.assert_allclose(
+        panel(figure, "Coverage error").lines[0].get_xdata(), np.arange(201) * 0.05
+    )
 
 
 def test_without_noise_there_is_no_panel_for_it():

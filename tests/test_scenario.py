@@ -251,7 +251,7 @@ def test_what_will_surprise_is_warned_of_and_nothing_else() -> None:
         name for name in SHIPPED if "figure-1" in name or "fast" in name
     }
     assert all(
-        "visibility is not kept" in warned[name][0] for name in SHIPPED if "figure-1" in name
+        "visibility is not maintained" in warned[name][0] for name in SHIPPED if "figure-1" in name
     )
     (line,) = scenario_warnings(load_scenario("escort", overrides=["ugv.0.goals=[]"]))
     assert line.startswith("ugv.0.goals = []: ugv_0 will stand still")

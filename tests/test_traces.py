@@ -371,7 +371,7 @@ def test_recorded_link_flies_alike_and_replays_without_its_file(tmp_path: Path) 
     (tmp_path / "recorded").mkdir()
     (tmp_path / "recorded" / "wifi.csv").write_text(TABLE)
     (tmp_path / "mine.toml").write_text(
-        'duration = 5.0\nhold = 1.0\n[law]\nname = "logarithmic"\n'
+        'duration = 5.0\ncommand_timeout = 1.0\n[law]\nname = "logarithmic"\n'
         '[links.detections]\ntrace = "recorded/wifi.csv"\n[links.commands]\ntrace = "recorded/wifi.csv"\ndelay = 0.1\n'
         + SMALL
     )

@@ -105,7 +105,10 @@ def test_w_is_taken_off_the_radius_and_added_to_the_error() -> None:
     without = certified(**numbers | {"r_v": 4.35}, eps=0.7)
     assert with_w.handover_radius == pytest.approx(without.handover_radius, abs=1e-9)
     assert with_w.handover_bound == pytest.approx(without.handover_bound, abs=1e-9)
-    for tracking, told_of in ((math.inf, "max_tracking_error (w) = inf m"), (2.5, "eps 0.3 m, w 2.5 m")):
+    for tracking, told_of in (
+        (math.inf, "max_tracking_error (w) = inf m"),
+        (2.5, "max_tracking_error w = 2.5 m"),
+    ):
         wrong = certified(**numbers, eps=0.3, tracking=tracking)
         (fault,) = check_assumptions(wrong)
         assert told_of in fault

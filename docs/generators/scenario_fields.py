@@ -71,8 +71,6 @@ def _section(name: str, struct: type[msgspec.Struct]) -> str:
             first = first_at.setdefault(inner, table)
             type_ = f"`{table}`, " + ("below" if first == table else f"as `{first}`")
         default = f"`{field.default}`" if field.default not in ("", "none") else field.default
-        rows.append(
-            f"| `{field.name}` | {cell(type_)} | {cell(default)} | {cell(field.text)} |"
-        )
+        rows.append(f"| `{field.name}` | {cell(type_)} | {cell(default)} | {cell(field.text)} |")
     heading = f"`{name}`" if name else "Top level"
     return f"### {heading}\n\n{text_of(struct)}\n\n" + "\n".join(rows)

@@ -51,7 +51,14 @@ class RewardWeights:
                 )
 
 
-UAV_TERMS: tuple[str, ...] = ("uncovered", "seen", "sight_lost", "out_of_sight", "effort", "reported")
+UAV_TERMS: tuple[str, ...] = (
+    "uncovered",
+    "seen",
+    "sight_lost",
+    "out_of_sight",
+    "effort",
+    "reported",
+)
 UGV_TERMS: tuple[str, ...] = ("progress", "goal", "effort", "hit", "still")
 """Terms of a vehicle's reward in one tick."""
 

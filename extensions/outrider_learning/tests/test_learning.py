@@ -231,7 +231,7 @@ def _bad_files(folder: Path) -> dict[str, str]:
         "gap": "do not fit together",
         "nan": "not finite",
         "recipe": "recipe: KeyError",
-        "view": "the recipe's view needs 21 to 2",
+        "view": "the recipe needs 21 inputs, 2 outputs",
         "list": "its recipe is no table",
         "repeat": "recipe: repeat = 2.5; allowed: a positive whole number",
         "tick": "recipe: dt = 0.0; allowed: a positive number",
