@@ -81,15 +81,15 @@ def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, 
 
 
 SPOKEN = {
-    0: [("say", "ugv_0", Teleoperation(operator="anna", velocity=(0.1, 0.0)))],
+    0: [("teleoperate", "ugv_0", Teleoperation(operator="anna", velocity=(0.1, 0.0)))],
     7: [("assign_driver", "ugv_0", "teleop")],
     9: [
-        ("say", "ugv_0", Teleoperation(operator="anna", velocity=(0.1, 1.0 / 3.0))),
-        ("say", "ugv_0", Teleoperation(operator="ben", goal=(21.0, 22.0))),
+        ("teleoperate", "ugv_0", Teleoperation(operator="anna", velocity=(0.1, 1.0 / 3.0))),
+        ("teleoperate", "ugv_0", Teleoperation(operator="ben", goal=(21.0, 22.0))),
     ],
     20: [("degrade", LinkKind.RADIO, "uav_0", LinkSettings(loss=0.5))],
     40: [("order", Law(name="switching"))],
-    41: [("assign_driver", "ugv_0", "teleop"), ("say", "ugv_0", Teleoperation(operator="anna"))],
+    41: [("assign_driver", "ugv_0", "teleop"), ("teleoperate", "ugv_0", Teleoperation(operator="anna"))],
 }
 
 

@@ -268,7 +268,7 @@ class Worlds:
         if set(actions) != set(self.learners):
             given = ", ".join(map(str, actions)) or "none"
             raise ValueError(
-                f"actions for: {given}; allowed: one for each of: {', '.join(self.learners)}"
+                f"actions for: {given}; allowed: one for each of {', '.join(self.learners)}"
             )
         taken = [take_batch(name, actions[name], self.num_envs) for name in self.learners]
         taken += [

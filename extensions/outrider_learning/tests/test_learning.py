@@ -232,7 +232,7 @@ def _bad_files(folder: Path) -> dict[str, str]:
         "nan": "not finite",
         "recipe": "recipe: KeyError",
         "view": "the recipe needs 21 inputs, 2 outputs",
-        "list": "its recipe is no table",
+        "list": "its recipe is not a table",
         "repeat": "recipe: repeat = 2.5; allowed: a positive whole number",
         "tick": "recipe: dt = 0.0; allowed: a positive number",
         "patch": "recipe: coverage_patch = 0; allowed: a positive whole number",

@@ -290,8 +290,8 @@ def test_a_model_of_another_input_is_refused() -> None:
         ({"custom.uav_policy": "npz:none.npz"}, r"^custom.uav_policy = 'npz:none.npz': .*read"),
         ({"custom.uav_policy": "json:nothing"}, "^custom.uav_policy = 'json:nothing'"),
         ({"custom.uav_policy": "collections:Counter"}, "not a policy"),
-        ({"custom.uav_policy": "mine.npz"}, "names no policy; allowed: module:function, npz:FILE"),
-        ({"law.name": "policy", "custom.uav_policy": ""}, "the law 'policy' needs it"),
+        ({"custom.uav_policy": "mine.npz"}, "not a policy; allowed: module:function, npz:FILE"),
+        ({"law.name": "policy", "custom.uav_policy": ""}, "required by the law 'policy'"),
     ],
     ids=str,
 )
