@@ -89,7 +89,10 @@ SPOKEN = {
     ],
     20: [("degrade", LinkKind.RADIO, "uav_0", LinkSettings(loss=0.5))],
     40: [("order", Law(name="switching"))],
-    41: [("assign_driver", "ugv_0", "teleop"), ("teleoperate", "ugv_0", Teleoperation(operator="anna"))],
+    41: [
+        ("assign_driver", "ugv_0", "teleop"),
+        ("teleoperate", "ugv_0", Teleoperation(operator="anna")),
+    ],
 }
 
 
