@@ -69,7 +69,7 @@ def random_coverage(worlds: int) -> FloatArray:
 
 
 _SENSOR = SensorParameters(0, 1.0, 5.0)
-"""Of `escort`."""
+"""Numbers of `escort`."""
 
 
 def start_positions(count: int) -> FloatArray:

@@ -75,7 +75,7 @@ def between(value: float, kind: Any) -> bool:
 
 
 def allowed(value: Any, kind: Any) -> bool:
-    """Whether a decoded value is what its type says, to the last part of it."""
+    """Return whether a decoded value and all its parts fit its type."""
     match kind:
         case kinds.StructType():
             return type(value) is kind.cls and all(
@@ -116,7 +116,7 @@ def allowed(value: Any, kind: Any) -> bool:
 
 
 def says(value: Any, told: Any) -> bool:
-    """Whether a decoded value is what Python's own reader of JSON finds in its payload.
+    """Return whether a decoded value equals what Python's own JSON reader finds in its payload.
 
     A field that is not told is free.
     """

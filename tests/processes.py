@@ -239,7 +239,7 @@ def command_line(pid: int) -> str:
 
 
 def blocks(pid: int, number: int) -> bool:
-    """Whether a process has blocked a signal."""
+    """Return whether a process has blocked a signal."""
     status = dict(
         line.split(":\t", 1)
         for line in Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()

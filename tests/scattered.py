@@ -18,7 +18,7 @@ SECONDS = 200.0
 
 
 SECRET = bytes(range(16)).hex()
-"""Of the runs whose processes are started by hand; their simulator would make one."""
+"""Secret of the runs whose processes are started by hand; otherwise, their simulator would create one."""
 
 
 def answers(port: int) -> bool:

@@ -17,7 +17,7 @@ def a_status(**told: Any) -> Status:
 
 
 def a_vehicle(position: Any = (0.0, 0.0), velocity: Any = (0.0, 0.0), **told: Any) -> VehicleTruth:
-    """Where a vehicle is; it is asked for nothing unless that is told."""
+    """Return the truth of a vehicle, without a command by default."""
     still = {"acceleration": (0.0, 0.0), "command": (0.0, 0.0)}
     return VehicleTruth(position=position, velocity=velocity, **still | told)
 

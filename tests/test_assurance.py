@@ -225,7 +225,7 @@ def test_filter_started_in_flight_inherits_no_certificate() -> None:
 
 @pytest.mark.parametrize(("flown_on", "broken"), [(True, 1), (False, 0)])
 def test_outage_right_afterwards_excuses_an_ended_certificate(flown_on, broken) -> None:
-    """Where commands carry motions: a pilot knows of it before it is too long."""
+    """A pilot predicts the gap between two plans before it becomes too long."""
     certificate = Certificate(
         max_command_delay=0.25,
         max_command_interval=0.3,

@@ -108,7 +108,7 @@ def test_what_is_dropped_can_only_raise_the_bound(seed: int, eps: float) -> None
 def test_late_detection_never_replaces_a_newer_one(
     v_g: float,
 ) -> None:
-    """Of a UGV that cannot move both discs are the same."""
+    """Both discs of a UGV that cannot move are equal."""
     kept = discs.no_discs()
     for taken in (10, 1, 10):
         discs.add_disc(promise(v_g=v_g), kept, discs.Disc(1.0, 0.5, 0.3, taken), 10, 0.0, 0.0)

@@ -46,7 +46,7 @@ With 11 a filter that looks only at the state when its command acts certifies wh
 
 
 def told(changes, seed, on_tick=None):
-    """Whether each tick was certified, and the true distance then [m]; no fault was counted."""
+    """Return for each tick whether it was certified, and the true distance [m]; check that no violation was counted."""
     base = ("law.name=certified", "ugv.0.driver=evade", "area.cell=0.5", "duration=160.0")
     scenario = load_scenario("escort", overrides=[*base, *changes])
     flight = Flight(scenario, seed)

@@ -175,7 +175,7 @@ def test_certificates_need_encrypted_endpoints() -> None:
 
 
 def passes(router: Session, client: Session) -> bool:
-    """Whether a command of the UAV arrives."""
+    """Return whether a command of the UAV arrives."""
     inbox = router.inbox_of_all({"uav_0": COMMAND[Role.UAV]})
     outbox = client.outbox(COMMAND[Role.UAV], "uav_0")
     for _ in range(50):

@@ -114,7 +114,7 @@ def _conserved(status: LinkStatus) -> bool:
 
 
 def _only(status: LinkStatus, *causes: str) -> bool:
-    """Whether nothing was lost by another cause."""
+    """Return whether messages were lost by this cause only."""
     return not any(number for cause, number in status.lost.items() if cause not in causes)
 
 

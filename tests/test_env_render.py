@@ -32,7 +32,7 @@ ACTIONS = {"uav_0": [0.3, 0.0], "ugv_0": [0.0, 0.0]}
 
 
 def pixels_of(frame, color):
-    """Where the picture has this color, as rows and columns."""
+    """Return rows and columns of the pixels with this color."""
     return np.argwhere(
         (np.abs(frame.astype(int) - np.array(to_rgb(color)) * 255.0) < 3.0).all(axis=2)
     )

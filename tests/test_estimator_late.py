@@ -38,7 +38,7 @@ AGILE = Limits(max_speed=0.2, max_acceleration=None)
 
 
 def own(tick):
-    """Where the UAV is: it flies a circle, so that its position now is not that of a second ago."""
+    """Return the position of a UAV that flies a circle, so that it differs from its position a second ago."""
     return (20.0 + 3.0 * math.cos(0.01 * tick), 20.0 + 3.0 * math.sin(0.01 * tick))
 
 

@@ -46,7 +46,7 @@ SIMULATOR, UGV = Party(role=Role.SIMULATOR, name="simulator"), Party(role=Role.U
 
 
 def refuses(key: Key, payload: bytes) -> bool:
-    """Whether no reader may be given this."""
+    """Return whether no reader may receive this."""
     try:
         msgspec.json.decode(payload, type=key.message)
     except REFUSALS:

@@ -387,7 +387,7 @@ def test_a_repaired_file_opens_in_the_plain_reader(killed, tmp_path):
 
 
 def _boundaries(path: Path) -> Iterator[tuple[int, int]]:
-    """Where each record of the file begins, and its kind."""
+    """Return offset and kind of each record of the file."""
     data = path.read_bytes()
     at = 8
     while at + 9 <= len(data):

@@ -41,14 +41,14 @@ SCENARIO = load_scenario(
 SEED = 1_234_567
 """The run's: among those that are tried, and not so far on that the search that finds it takes long."""
 SEEDS = 2**24
-"""That are tried where nothing is found: the run's is among them."""
+"""Seeds that a search tries; the run's seed is among them."""
 SECRET = bytes(range(100, 116)).hex()
 ROW = 0
-"""Of uav_0 among the vehicles."""
+"""Index of uav_0 among the vehicles."""
 WAYS = KEY, FLAGS, LOOKS = range(3)
 """The evidence of a search: the briefing's key, which looks succeeded, what they said."""
 PURPOSE = (PILOT, DETECTION_CHANCE, DETECTION_NOISE)
-"""Of the keys that are tried, for each of them."""
+"""Purpose of the keys that each kind of evidence tries."""
 SOME = 2**16
 """Seeds whose keys are held at once."""
 
@@ -59,7 +59,7 @@ class Told:
 
     key: Key
     ticks: IntArray
-    """Of the looks that were due. Shape (looks,)."""
+    """Ticks of the detection attempts. Shape (attempts,)."""
     found: npt.NDArray[np.bool_]
     """True where a look succeeded. Shape (looks,)."""
     said: FloatArray

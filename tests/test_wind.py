@@ -39,7 +39,7 @@ def loop_of(k_p: float, k_d: float, reserve: float) -> InnerLoop:
 
 
 def errors(loop: InnerLoop, wind: np.ndarray, own: np.ndarray, dt: float) -> np.ndarray:
-    """Where the error is under these winds and own positions, by tick: x, y [m] and the feedback's size [m/s²]."""
+    """Return the tracking error under these winds and position errors, by tick: x, y [m] and the feedback [m/s²]."""
     (row,), found = np.zeros(1, record_type(Disturbance)), []
     (gains,) = records(InnerLoop, [loop])
     for row["wind"], row["position_error"] in zip(wind, own, strict=True):

@@ -73,7 +73,7 @@ def command(
     vehicles = ", ".join(names) if len(names) <= _LISTED else many
     law_text = f"law {scenario.law.name}" if scenario.uav else NO_UAV
     if certifiable not in (None, "always"):
-        law_text += f", sight certified {certifiable}"
+        law_text += f", sight {certifiable} certified"
     OUT.tell(
         f"{scenario.name}: valid ({vehicles}; {law_text}; {scenario.duration:g} s, {scenario.ticks} ticks)"
     )

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from bus.messages.telemetry import Geometry
 from sim.scene.colors import LIMIT, UAV, UGV, color
 
-LABELS = {"r_v": "limit of sight", "r_s": "only tracking", "r": "range of the sensor"}
+LABELS = {"r_v": "visibility radius", "r_s": "switching radius", "r": "sensing range"}
 """Meaning of the circles, by the symbol of their radius."""
 _LOOKS = {"r_v": (1.6, False), "r_s": (1.2, True), "r": (0.8, False)}
 """Width of their lines [pt], and True if dashed."""

@@ -66,7 +66,7 @@ def test_motions_that_were_checked_for_less_than_the_outage_are_caught_by_the_at
 
 
 def test_outages_that_are_yet_to_come_break_no_certificate() -> None:
-    """A motion is lost when the one that is flown began so long ago that the next chain comes too late."""
+    """The adversary drops a plan when the committed one is so old that the next chain arrives too late."""
     conditions = Conditions(
         max_command_interval=0.65,
         delay=0.5,

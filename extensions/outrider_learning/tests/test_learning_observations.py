@@ -71,7 +71,7 @@ def bound(one: Transformation, space: Any) -> Transformation:
 
 
 def uav_space(**settings: Any) -> Any:
-    """What a UAV observes."""
+    """Observation of a UAV."""
     return outrider.single_env(ONE, **settings).observation_space
 
 

@@ -112,7 +112,14 @@ def _check_layout(page: Page, pictures: Path | None, name: str) -> None:
 def _check_legends(page: Page) -> None:
     text = page.page.locator(".map-card .legend").inner_text()
     vehicles = page.run("Object.keys(outrider.store.truth.vehicles)")
-    told = [*vehicles, "limit of sight", "only tracking", "sensor", "UAV to its UGV", "goal"]
+    told = [
+        *vehicles,
+        "visibility radius",
+        "switching radius",
+        "sensing range",
+        "UAV to its UGV",
+        "goal",
+    ]
     lacking = [one for one in told if one not in text]
     charts = page.page.locator(".charts .legend").inner_text()
     lacking += [name for name in vehicles if name.startswith("uav") and name not in charts]

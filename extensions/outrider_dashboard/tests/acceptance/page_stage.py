@@ -207,7 +207,7 @@ class Page:
 
     @property
     def tick(self) -> int:
-        """Of the truth that is drawn."""
+        """Return the tick of the displayed truth."""
         return int(self.run("outrider.store.truth.tick"))
 
     @property
@@ -217,7 +217,7 @@ class Page:
         return found
 
     def position(self, name: str = "ugv_0") -> list[float]:
-        """Of a vehicle [m]."""
+        """Return the displayed position of a vehicle [m]."""
         found: list[float] = self.run(f"outrider.store.truth.vehicles.{name}.position")
         return found
 

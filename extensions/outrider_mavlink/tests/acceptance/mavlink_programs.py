@@ -29,7 +29,7 @@ FOREIGN = Path(__file__).resolve().parent / "foreign"
 
 NEEDED = ("mavsdk>=4,<5", "MAVProxy>=1.8.70,<2", "pymavlink>=2.4.49,<3")
 DURATION = 100.0
-"""Of the flight, simulated [s]: at twice real time the checks are over before its end."""
+"""Simulated duration of the run [s]; at twice real time, the checks finish before its end."""
 
 
 def log_of_mavproxy(python: Path, folder: Path) -> Iterator[Row]:
