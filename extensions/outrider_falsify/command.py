@@ -55,14 +55,10 @@ def command(
     its first certified one to the loss was certified (after a gap: every tick of the last second). It also does if any
     tick was certified while the UGV was out of sight. Bounds missing from [certificate] are set to cover the limits.
 
-    For this law a compiled attack runs as well, over a grid of its own. Adversaries control the UAV, the UGV and the
-    detection errors. Blackouts last up to 15 s and commands arrive up to 1 s late, in the open, at walls and in
-    corners. Further runs break assumptions: lost, early, duplicated or delayed commands, changes of the law in flight,
-    processes that reconnect. One in a hundred of --runs simulates a scenario, the rest are attacks; of --minutes,
-    scenarios use a third.
+    For this law a compiled attack runs as well: adversaries control the UAV, the UGV, the detection errors and the
+    network, and break assumptions. It takes 99 of 100 of --runs, or two thirds of --minutes.
 
-    The exit code is 0 for any result unless --expect is given; 130 after Ctrl-C, which keeps the best result. Needs the
-    extra [falsify].
+    The exit code is 0 for any result unless --expect is given; 130 after Ctrl-C, which keeps the best result.
 
     Example: outrider falsify --law switching --limit none
     """
@@ -72,10 +68,7 @@ def command(
     from outrider_falsify.limits import SearchLimits
     from sim.compiling.threads import cores
 
-    if control is not None and (law not in (None, "certified") or engine == "flights"):
-        raise typer.BadParameter(
-            "--control: replaces the law certified in the attack; leave out --law and --engine"
-        )
+    _check_control(control is not None, law, engine)
     flown, named = resolve(
         scenario,
         law="certified" if control is not None else law,
@@ -145,6 +138,14 @@ def _check_out(out: Path | None) -> None:
     if out.is_dir():
         raise typer.BadParameter(f"--out {out}: is a folder; allowed: a file")
     out.parent.mkdir(parents=True, exist_ok=True)
+
+
+def _check_control(given: bool, law: str | None, engine: str | None) -> None:
+    """Raise `typer.BadParameter` if --control cannot be combined with the law or the engine."""
+    if given and (law not in (None, "certified") or engine == "flights"):
+        raise typer.BadParameter(
+            "--control: replaces the law certified in the attack; leave out --law and --engine"
+        )
 
 
 def _search(wanted: "SearchRequest", expect: options.Expected, *, json: bool) -> None:

@@ -71,9 +71,8 @@ def command(
     """Fly a scenario, with one process for the simulator and one per vehicle.
 
     The processes communicate over Zenoh. The run ends with a table of metrics, a picture and the trajectory. Ctrl-C
-    ends the run early and keeps its results. If a vehicle's process exits, the vehicle brakes and the run continues
-    without it. With --respawn, the process is restarted and flies on. --with dashboard shows the run on a page; the
-    browser keeps its last state when the run ends.
+    ends the run early and keeps its results. If a vehicle's process exits, the vehicle brakes and the run continues;
+    with --respawn, the process is restarted and flies on. --with dashboard shows the run on a page.
 
     Example: outrider run escort --seed 3 --law switching
     """
@@ -86,14 +85,8 @@ def command(
     from outrider.view.output import default_folder, making
     from sim.scenario.checks import scenario_warnings
 
-    if in_process and (realtime or respawn or companions):
-        raise typer.BadParameter(
-            "--realtime, --respawn and --with need several processes; leave --in-process out"
-        )
-
-    beside = tuple(parse_companion(text) for text in companions or ())
-    if realtime is None:
-        realtime = pace_with(beside)
+    asked, beside = realtime, tuple(parse_companion(text) for text in companions or ())
+    realtime = pace_with(beside) if realtime is None else realtime
     flown, named = resolve(
         scenario,
         seed=seed,
@@ -107,11 +100,9 @@ def command(
     )
     has_external = any(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
     _check_processes(flown, 0 if in_process else allow_processes)
-    if in_process and has_external:
-        raise typer.BadParameter("--driver external needs another process; leave --in-process out")
+    _check_in_process(in_process, bool(asked or respawn or companions), has_external)
     run_secret = options.secret_of(secret, wanted=has_external)
     check_code(flown, named, source=scenario, allowed=allow_code)
-    # report faults of user code here, not in a child
     print_warnings((*scenario_warnings(flown), *check_own_functions(flown)))
     if record is not None:
         import outrider.recording.writer  # noqa: F401 - report a missing extra here, not in a child
@@ -124,6 +115,15 @@ def command(
             outcome = _fly_apart(flown, run_secret, output, beside, stop)
         _report(outcome, folder, json=json)
     _end(outcome, stop)
+
+
+def _check_in_process(in_process: bool, has_options: bool, has_external: bool) -> None:
+    """Raise `typer.BadParameter` if a run in one process has an option that needs several."""
+    needed = "several processes required; leave --in-process out"
+    if in_process and has_options:
+        raise typer.BadParameter(f"--realtime, --respawn, --with: {needed}")
+    if in_process and has_external:
+        raise typer.BadParameter(f"--driver external: {needed}")
 
 
 def _report(outcome: "Outcome", folder: Path | None, *, json: bool) -> None:

@@ -306,18 +306,23 @@ def _blackout_ages(link: InspectedLink, age: int) -> Iterator[Finding]:
 # A5': the time between plans
 
 
-def interval_findings(link: InspectedLink, bounds: SafetyBounds) -> Iterator[Finding]:
-    """Find times between two plans that exceed the bound, as commands are lost or late."""
-    scenario, p, interval = link.scenario, link.parameters, bounds.interval_ticks
-    if interval >= scenario.ticks:
-        return
+def _late_settings(link: InspectedLink) -> str:
+    """Return the settings that can make commands late or lose them, as the scenario writes them."""
     fields = (
         link.named("delay", "jitter", "reorder", "loss", "bandwidth"),
         link.named("burst_length", "burst_interval", "blackout_length", "blackout_interval"),
         f"{link.path}.blackouts" if any(link.planned_blackouts()) else "",
         f"{link.path}.trace" if link.settings.trace else "",
     )
-    settings = ", ".join(filter(None, fields))
+    return ", ".join(filter(None, fields))
+
+
+def interval_findings(link: InspectedLink, bounds: SafetyBounds) -> Iterator[Finding]:
+    """Find times between two plans that exceed the bound, as commands are lost or late."""
+    scenario, p, interval = link.scenario, link.parameters, bounds.interval_ticks
+    if interval >= scenario.ticks:
+        return
+    settings = _late_settings(link)
     late = "no command with a new plan takes effect in time"
     window = command_window(bounds.delay_ticks, MOST_CARRIED, interval)
     if not link.settings.trace and link.least > bounds.delay_ticks:
