@@ -48,6 +48,7 @@ MODULES = {
         "extensions/outrider_learning/transformation.py",
         "extensions/outrider_learning/egocentric.py",
         "extensions/outrider_learning/stacking.py",
+        "extensions/outrider_learning/sb3.py",
         "extensions/outrider_learning/suite/tasks.py",
         "extensions/outrider_learning/suite/board.py",
         "outrider/registration.py",
@@ -73,7 +74,7 @@ MODULES = {
         "agents/laws",
         "agents/safety",
     ),
-    "The bus": ("bus",),
+    "The bus": ("bus", "bus/messages"),
     "Links": ("sim/channel", "sim/engine"),
 }
 """Modules with a page of their own: files, or folders with their content."""
