@@ -91,8 +91,8 @@ def test_a_broken_assumption_is_told_with_its_name(changes: str, reason: str) ->
     ("changes", "reason"),
     [
         (["detections.truncation=inf"], "the detector noise is not truncated"),
-        (["certificate.max_measurement_age=60.0"], "too large for r_v"),
-        (["certificate.max_command_delay=30.0"], "too large for r_v"),
+        (["certificate.max_measurement_age=60.0"], "too much for visibility"),
+        (["certificate.max_command_delay=30.0"], "too much for visibility"),
     ],
 )
 def test_uncertifiable_scenario_warns_and_reports_each_tick(changes, reason):

@@ -106,8 +106,8 @@ def test_w_is_taken_off_the_radius_and_added_to_the_error() -> None:
     assert with_w.handover_radius == pytest.approx(without.handover_radius, abs=1e-9)
     assert with_w.handover_bound == pytest.approx(without.handover_bound, abs=1e-9)
     for tracking, told_of in (
-        (math.inf, "max_tracking_error (w) = inf m"),
-        (2.5, "max_tracking_error w = 2.5 m"),
+        (math.inf, "max_tracking_error = inf m"),
+        (2.5, "max_tracking_error = 2.5 m"),
     ):
         wrong = certified(**numbers, eps=0.3, tracking=tracking)
         (fault,) = check_assumptions(wrong)
@@ -143,7 +143,7 @@ def test_wind_disturbs_the_uavs_true_state_alone(tmp_path) -> None:
     flight.recorder.write(tmp_path / "trajectory.csv")
     with (tmp_path / "trajectory.csv").open(newline="", encoding="utf-8") as file:
         header, *rows = csv.reader(file)
-    assert header[-2:] == ["uav_0.told_x [m]", "uav_0.told_y [m]"]
+    assert header[-2:] == ["uav_0.reference_x [m]", "uav_0.reference_y [m]"]
     assert [tuple(map(float, row[-2:])) for row in rows] == [
         tuple(place) for place in flight.recorder.reference[:, 0, :2].tolist()
     ]

@@ -248,10 +248,10 @@ def _error_fault(bounds: SafetyBounds) -> str:
     """Return the fault of the declared tracking and measurement errors; empty if there is none."""
     tracking, placed = bounds.max_tracking_error, bounds.placed_error
     if not math.isfinite(tracking):
-        return f"max_tracking_error (w) = {tracking:g} m: unbounded; allowed: a finite error"
+        return f"max_tracking_error = {tracking:g} m: unbounded; allowed: a finite error"
     if not math.isfinite(placed):
         return (
-            f"max_measurement_error (eps) = {placed:g} m: unbounded, since the detector noise is not truncated; "
+            f"max_measurement_error = {placed:g} m: unbounded, since the detector noise is not truncated; "
             "allowed: a finite detections.truncation"
         )
     return ""
@@ -286,9 +286,9 @@ def _age_fault(bounds: SafetyBounds) -> str:
     """Return the fault of the measurement age; empty if there is none."""
     b, age = bounds, bounds.max_measurement_age
     if not math.isfinite(age):
-        return f"max_measurement_age (A) = {age:g} s: unbounded; allowed: a finite age"
+        return f"max_measurement_age = {age:g} s: unbounded; allowed: a finite age"
     if b.max_age_ticks >= MOST_KEPT:
-        return f"max_measurement_age (A) = {age:g} s: {b.max_age_ticks:,} ticks; allowed: less than {MOST_KEPT:,} ticks"
+        return f"max_measurement_age = {age:g} s: {b.max_age_ticks:,} ticks; allowed: less than {MOST_KEPT:,} ticks"
     largest = max(size if math.isfinite(size) else 0.0 for size in (b.width, b.height))
     strayed = 0.5 * math.ulp(largest) * (b.max_age_ticks + b.delay_ticks)
     if strayed > 0.5 * MARGIN:
@@ -309,13 +309,12 @@ def _handover_fault(bounds: SafetyBounds) -> str:
     """Return the error for bounds without a hand-over, with the limits up to which it holds."""
     b, age, delay = bounds, bounds.max_measurement_age, bounds.delay_ticks * bounds.dt
     rho, most = b.placed_error + b.v_g * (age + delay), largest_age(b)
-    terms, sizes = "eps", f"max_measurement_error eps = {b.placed_error:g} m"
+    causes = f"max_measurement_error = {b.max_measurement_error:g} m"
     if b.max_tracking_error > 0.0:
-        terms = "eps + w"
-        sizes = (
-            f"max_measurement_error eps = {b.max_measurement_error:g} m, "
-            f"max_tracking_error w = {b.max_tracking_error:g} m"
-        )
+        causes += f" and max_tracking_error = {b.max_tracking_error:g} m"
+    driven = f"max_measurement_age = {age:g} s"
+    if delay > 0.0:
+        driven += f" and max_command_delay = {delay:g} s"
     limit = "for no max_measurement_age"
     if not math.isnan(most):
         limit = f"for max_measurement_age up to {most:.2f} s"
@@ -328,9 +327,9 @@ def _handover_fault(bounds: SafetyBounds) -> str:
         )
         limit += f", not {b.interval_ticks * b.dt:g} s"
     return (
-        f"{terms} + v_g (A + tau_c) = {rho:.4g} m ({sizes}, max_measurement_age A = {age:g} s, "
-        f"max_command_delay tau_c = {delay:g} s): too large for r_v = {b.radius:.4g} m; "
-        f"with the other values unchanged the hand-over holds {limit}"
+        f"the UGV's position is uncertain by up to {rho:.4g} m ({causes}, plus {b.v_g:g} m/s for {driven}): "
+        f"too much for visibility within {b.radius:.4g} m; "
+        f"with the other values unchanged, sight can be certified {limit}"
     )
 
 

@@ -217,7 +217,7 @@ class Recorder:
         header += [f"{name}.{field}" for name in self._world.names for field in _VEHICLE]
         header += [f"{name}.{field}" for name in uavs for field in _ESCORT]
         if self._disturbed:
-            header += [f"{name}.told_{axis} [m]" for name in uavs for axis in "xy"]
+            header += [f"{name}.reference_{axis} [m]" for name in uavs for axis in "xy"]
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(header)
