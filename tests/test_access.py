@@ -185,7 +185,7 @@ def test_parties_announce_themselves_alone(known_by):
         assert seen[name] - own[name] == {token(RUN, "simulator", NAMES.index("simulator"))}
 
 
-def test_nobody_can_ask_the_router_or_another_for_anything(known_by: str) -> None:
+def test_no_party_can_query_the_router_or_another_party(known_by: str) -> None:
     with parties(known_by) as sessions:
         answered = sessions["ugv_0"].declare_queryable(
             "outrider/**", lambda query: query.reply(query.key_expr, b"secret")
@@ -259,7 +259,7 @@ def test_a_known_peer_with_gossip_gets_no_more_than_a_client(endpoint: str) -> N
         assert [str(zid) for zid in peer.info.peers_zid()] == []
 
 
-def test_a_refused_client_is_told_why(endpoint: str) -> None:
+def test_refused_client_receives_the_reason(endpoint: str) -> None:
     uav, ugv = GIVEN.of("uav_0"), GIVEN.of("ugv_0")
     for party, credential, told in (
         (uav.party, None, "without credentials"),

@@ -224,7 +224,7 @@ def test_filter_started_in_flight_inherits_no_certificate() -> None:
 
 
 @pytest.mark.parametrize(("flown_on", "broken"), [(True, 1), (False, 0)])
-def test_outage_right_afterwards_excuses_an_ended_certificate(flown_on, broken) -> None:
+def test_later_command_gap_excuses_an_ended_certificate(flown_on, broken) -> None:
     """A pilot predicts the gap between two plans before it becomes too long."""
     certificate = Certificate(
         max_command_delay=0.25,
@@ -339,7 +339,7 @@ def test_trajectory_file_states_the_certificate_of_each_tick(lied, tmp_path):
     assert len(lies) + 1 == summary.certified_while_lost
 
 
-def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(lied):
+def test_recording_has_the_same_counts_and_each_ticks_claim(lied):
     from outrider.recording.reader import flight_of
 
     _, summary, path = lied

@@ -106,7 +106,7 @@ def test_batch_size_and_threads_change_no_bit() -> None:
         assert one[69].tobytes() == last[0].tobytes()
 
 
-def test_a_world_that_begins_anew_is_as_if_it_had_never_flown() -> None:
+def test_reset_world_equals_one_that_has_never_flown() -> None:
     batch, _ = _fly_both(SCENARIOS["network"], [1, 2, 3], 90)
     kept = [array[1].copy() for array in batch.state]
     batch.begin([9, 8], [2, 0])

@@ -37,13 +37,13 @@ def _kept(u, p, v):
     speeds,
 )
 @settings(PROPERTY)
-def test_away_from_the_border_the_law_is_left_alone(x, y, u, v_x, v_y):
+def test_law_is_unchanged_away_from_the_border(x, y, u, v_x, v_y):
     assert _kept((u, -u), (x, y), (v_x, v_y)) == (u, -u)
 
 
 @given(st.floats(0.0, 1.0), st.floats(-9.0, 9.0), st.floats(-9.0, 9.0), speeds, speeds)
 @settings(PROPERTY, max_examples=300)
-def test_at_a_side_nothing_of_the_law_points_out(depth, u_x, u_y, v_x, v_y):
+def test_law_never_points_outward_at_a_side(depth, u_x, u_y, v_x, v_y):
     """At x near 0; the other sides are the same by reflection."""
     p = (0.999 * depth * MARGIN, 0.5 * HEIGHT)
     a_x, a_y = _kept((u_x, u_y), p, (v_x, v_y))
@@ -62,7 +62,7 @@ def test_at_a_side_nothing_of_the_law_points_out(depth, u_x, u_y, v_x, v_y):
 
 @given(st.integers(0, 2**32), st.floats(0.0, math.tau), st.sampled_from((1.0, 10.0, 39.0)))
 @settings(PROPERTY, max_examples=150)
-def test_whatever_the_law_wants_it_never_crosses_the_border(seed, course, k_v):
+def test_no_command_crosses_the_border(seed, course, k_v):
     """At full speed from anywhere outside the margin, another wish every few ticks, most of them outward."""
     rng = np.random.default_rng(seed)
     start = (rng.uniform(MARGIN, WIDTH - MARGIN), rng.uniform(MARGIN, HEIGHT - MARGIN))

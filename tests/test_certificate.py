@@ -88,7 +88,7 @@ def test_the_certified_distance_is_never_less_than_the_distance(seed: int, eps: 
 
 @given(seeds, errors)
 @settings(PROPERTY, max_examples=60)
-def test_what_is_dropped_can_only_raise_the_bound(seed: int, eps: float) -> None:
+def test_dropped_discs_can_only_raise_the_bound(seed: int, eps: float) -> None:
     rng = np.random.default_rng(seed)
     q, kept, g = promise(eps=eps), discs.no_discs(), np.zeros(2)
     every: list[tuple[float, float, float, int]] = []
@@ -147,7 +147,7 @@ radii = st.floats(0.05, 4.0)
 
 @given(points, points, points, points, radii, radii, seeds)
 @settings(PROPERTY, max_examples=300)
-def test_the_farthest_point_of_a_lens_is_farthest_and_in_it(p_x, p_y, b_x, b_y, r_a, r_b, seed):
+def test_farthest_point_of_a_lens_is_in_it_and_farthest(p_x, p_y, b_x, b_y, r_a, r_b, seed):
     rng = np.random.default_rng(seed)
     assume(norm(b_x, b_y) < r_a + r_b - 1e-3)
     found = discs.lens_distance(p_x, p_y, 0.0, 0.0, r_a, b_x, b_y, r_b)
@@ -380,7 +380,7 @@ def test_beyond_the_certified_radius_the_filter_acts(detections, here, wanted, a
         ({"eps": 4.0}, r"= 5 m .* for no max_measurement_age"),
     ],
 )
-def test_an_assumption_that_fails_names_itself_with_its_numbers(numbers, text):
+def test_failed_assumption_is_named_with_its_numbers(numbers, text):
     (reason,) = handover.check_assumptions(promise(**numbers))
     assert re.search(text, reason), reason
     assert math.isnan(promise(**numbers).handover_radius)
@@ -401,12 +401,12 @@ def test_incomputable_numbers_are_not_certified(numbers: dict[str, float], text:
     assert not promise(**numbers).valid
 
 
-def test_a_detection_is_of_use_for_as_long_as_is_declared() -> None:
+def test_detection_is_used_up_to_the_declared_age() -> None:
     assert track_ticks(promise(age=1.0)) == 2400
     assert track_ticks(promise(age=200.0, v_g=0.001)) == 4001
 
 
-def test_lost_commands_cost_the_longest_motion_gap_less_a_tick() -> None:
+def test_lost_commands_cost_the_command_interval_less_a_tick() -> None:
     perfect, tick, lossy = (promise(age=1.0, outage=b) for b in (0.0, 0.05, 2.0))
     assert perfect == tick
     assert lossy.handover_radius == pytest.approx(perfect.handover_radius)

@@ -150,7 +150,7 @@ def test_router_refuses_strangers_with_a_reason(
         assert told in refusal(endpoint, credential)
 
 
-def test_a_client_trusts_nobody_but_its_router(endpoint, monkeypatch):
+def test_client_trusts_only_its_router(endpoint, monkeypatch):
     """Neither a router under a name that its certificate has not, nor another party that listens."""
     elsewhere = endpoint.replace("127.0.0.1", "127.0.0.2")
     with hosted(elsewhere, GIVEN):
@@ -224,7 +224,7 @@ def test_certificates_are_renewed_while_the_router_goes_on(endpoint, monkeypatch
         assert passes(router, early)
 
 
-def test_an_end_is_told_a_month_ahead(endpoint: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_expiry_is_reported_a_month_ahead(endpoint: str, caplog: pytest.LogCaptureFixture) -> None:
     now = datetime.now(UTC)
     assert expiry_warning("uav_0", now + timedelta(days=30, hours=1)) == ""
     assert "uav_0 expires in 30 days" in expiry_warning("uav_0", now + timedelta(days=29, hours=23))

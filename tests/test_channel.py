@@ -429,7 +429,7 @@ def test_no_message_appears_or_vanishes_and_none_lacks_room(first, then, each, s
 
 @given(links(), st.integers(0, 2**53 - 1))
 @settings(PROPERTY)
-def test_the_same_settings_on_the_way_change_nothing(wanted: LinkSettings, seed: int) -> None:
+def test_resetting_equal_settings_changes_nothing(wanted: LinkSettings, seed: int) -> None:
     whole, changed = Flown(wanted, 300, seed=seed), Flown(wanted, 150, seed=seed)
     changed.change(wanted)
     changed.go_on(150)
@@ -463,7 +463,7 @@ DARK = {"blackout_interval": 5.0, "blackout_length": 0.5}
 BUSY = LinkSettings(loss=0.1, bandwidth=15.0, duplicates=0.1, **LATE, **BURSTS, **DARK)
 
 
-def test_a_link_does_the_same_twice_and_whatever_other_links_do() -> None:
+def test_link_is_reproducible_and_independent_of_other_links() -> None:
     alone = Flown(BUSY, 2000, seed=5, link=3).bits
     assert Flown(BUSY, 2000, seed=5, link=3).bits == alone
     links, packets, traces = new_links([link_parameters(BUSY, DT)], worlds=7)
@@ -478,7 +478,7 @@ def test_a_link_does_the_same_twice_and_whatever_other_links_do() -> None:
     assert repr(links[0].tolist()).encode() + np.array(arrived, dtype=np.int64).tobytes() == alone
 
 
-def test_neighbours_in_number_link_and_seed_share_no_luck() -> None:
+def test_neighbouring_numbers_links_and_seeds_are_independent() -> None:
     def table(number: int, seed: int, link: int) -> np.ndarray:
         """The delay of each message of this number within its tick; -1: lost."""
         settings = LinkSettings(delay=0.5, jitter=0.5, loss=0.3)
@@ -526,7 +526,7 @@ def test_new_settings_leave_messages_in_flight_unchanged() -> None:
     assert flown.arrived[-5:, 0].tolist() == flown.arrived[-5:, 1].tolist() == [70, 71, 72, 73, 74]
 
 
-def test_what_waits_leaves_at_the_new_pace() -> None:
+def test_waiting_messages_leave_at_the_new_rate() -> None:
     flown = Flown(LinkSettings(bandwidth=1.0, queue=8, keep="oldest"), 49)
     flown.change(LinkSettings(bandwidth=4.0, queue=8, keep="oldest"))
     flown.go_on(13)
@@ -546,7 +546,7 @@ def test_a_shorter_queue_drops_what_it_would_not_keep(keep: str) -> None:
     assert flown.arrived[1:3, 1].tolist() == ([5, 6] if keep == "newest" else [1, 2])
 
 
-def test_a_burst_and_a_blackout_go_on_under_other_settings() -> None:
+def test_burst_and_blackout_continue_under_other_settings() -> None:
     for kind, after in (
         ("burst", LinkSettings(burst_length=2e5, burst_interval=1.0, delay=0.1)),
         ("blackout", LinkSettings(blackout_length=0.1, blackout_interval=1.0)),
@@ -578,7 +578,7 @@ def test_age_of_information_is_that_of_the_newest_delivery() -> None:
     assert link.counters().max_age == pytest.approx(max(ages))
 
 
-def test_late_messages_make_the_known_no_older() -> None:
+def test_late_messages_do_not_increase_the_age() -> None:
     flown = Flown(LinkSettings(delay=0.2, reorder=0.5, reorder_delay=1.0), 300)
     newest, total = -1, 0
     for tick in range(300):

@@ -220,7 +220,7 @@ def test_a_run_leaves_its_files_and_prints_one_json_object(tmp_path, command):
     assert sorted(path.name for path in (tmp_path / "mine").iterdir()) == files
 
 
-def test_json_of_the_lists(command):
+def test_lists_are_printed_as_json(command):
     def told(arguments: str) -> dict[str, object]:
         return json.loads(command(*words(arguments), "--json").stdout)
 
@@ -236,7 +236,7 @@ def test_too_fast_circle_warns_and_flies(command) -> None:
     assert "0.1086 rad/s" in " ".join(run.stderr.split())
 
 
-def test_a_weighting_of_ones_own_flies_over_the_bus(here: Path, command) -> None:
+def test_user_weighting_flies_over_the_bus(here: Path, command) -> None:
     (here / "mine.py").write_text(
         "def careful(distance, r_s):\n    share = min(distance / r_s, 1.0)\n    return share, 1.0 - share\n",
         encoding="utf-8",

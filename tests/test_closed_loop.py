@@ -225,7 +225,7 @@ ANY = "(uav_0, ugv_0|ugv_0, uav_0)"
         ({"pilots": {"uav_0": "nonsense"}}, ScenarioError, "unknown; allowed"),
     ],
 )
-def test_who_cannot_fly_in_here_is_refused(settings, error, message):
+def test_unsupported_pilot_is_refused(settings, error, message):
     with pytest.raises(error, match=message):
         ClosedLoop(small("tracking"), 1, **settings)
 

@@ -36,7 +36,7 @@ def told(messages_to: list[type]) -> set[str]:
     return set().union(*map(fields_within, messages_to))
 
 
-def test_the_uav_is_told_these_fields_and_no_others() -> None:
+def test_uav_receives_exactly_these_fields() -> None:
     """The certificate is of its own detections, commands, actuators and inner loop."""
     known = """
         tick time position velocity detections relative_position over episode committed_trajectory
@@ -51,7 +51,7 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
     assert told(TO_UAV) == {*words(known), *fields_within(Law)}
 
 
-def test_the_ugv_is_told_these_fields_and_no_others() -> None:
+def test_ugv_receives_exactly_these_fields() -> None:
     known = """
         tick time position velocity radio relative_position coverage_error over episode
         operator driver goal goals goal_tolerance script command_timeout key past more
@@ -88,7 +88,7 @@ def test_ugv_messages_hide_velocity_input_and_law_of_the_uav(kind):
     assert nested == {"time", "relative_position", "coverage_error"}
 
 
-def test_what_a_uav_can_radio_has_no_velocity_and_no_input() -> None:
+def test_uav_radio_has_no_velocity_and_no_input() -> None:
     radio = get_type_hints(UavCommand)["radio"]
     assert fields_within(radio) == {"time", "relative_position", "coverage_error"}
     assert "radio" not in UgvCommand.__struct_fields__
@@ -122,7 +122,7 @@ def test_planned_route_reaches_the_simulator_and_no_vehicle() -> None:
         msgspec.json.decode(smuggled, type=UavObservation)
 
 
-def test_the_pilots_key_does_not_tell_the_runs_seed() -> None:
+def test_pilot_key_does_not_reveal_the_seed_of_the_run() -> None:
     from sim.engine.briefing import briefing
     from sim.scenario.loading import load_scenario
 

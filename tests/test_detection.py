@@ -49,14 +49,14 @@ def test_detection_probability_never_grows_with_distance(distance, dropout):
     assert 0.0 <= far <= near <= 1.0
 
 
-def test_a_look_that_finds_nothing_says_nothing() -> None:
+def test_failed_detection_has_no_position() -> None:
     found, x, y = detect(6.0, 0.0, R_V, R, 0.0, 0.1, 3.0, a_key(1), a_key(2), 0)
     assert not found
     assert math.isnan(x)
     assert math.isnan(y)
 
 
-def test_a_look_without_noise_is_the_truth() -> None:
+def test_detection_without_noise_is_exact() -> None:
     assert all((x, y) == (0.6 * 3.0, -0.8 * 3.0) for _, x, y in _looks(3.0, dropout=0.0))
 
 

@@ -364,7 +364,9 @@ def test_drive_continues_with_the_next_simulator(endpoint: str) -> None:
     ("way", "code"),
     [("ctrl-c", 130), ("hang-up", 129), ("at once", 0), ("stuck", 143)],
 )
-def test_however_it_ends_the_wheel_is_given_back(way: str, code: int, endpoint: str) -> None:
+def test_control_is_handed_back_however_the_command_ends(
+    way: str, code: int, endpoint: str
+) -> None:
     with scripted(endpoint) as simulator, teleoperation(*arguments(endpoint)) as one:
         one.until_shown("script drives ugv_0")
         if way == "at once":
@@ -395,7 +397,7 @@ def test_however_it_ends_the_wheel_is_given_back(way: str, code: int, endpoint: 
         wait_until(lambda: simulator.drivers["ugv_0"] == "script")
 
 
-def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> None:
+def test_control_taken_before_the_first_status_is_handed_back(endpoint: str) -> None:
     simulator = Party(role=Role.SIMULATOR, name="simulator")
     operator = Party(role=Role.OPERATOR, name="operator")
     with (
@@ -470,7 +472,7 @@ def test_operator_drives_in_real_time_without_jumps(tmp_path: Path) -> None:
         simulator.kill()
 
 
-def test_a_key_counts_for_a_moment_and_its_repeats_prolong_it() -> None:
+def test_key_expires_unless_it_is_repeated() -> None:
     wheel = PressedKeys(0.2)
     assert wheel.velocity(0.0) is None
     wheel.press(Heading.EAST, 10.0)

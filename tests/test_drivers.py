@@ -276,7 +276,7 @@ def test_ugv_stops_when_the_operator_falls_silent(words, heading, v_max, u_max, 
     assert np.ptp(rows[still:, :2], axis=0).max() <= 1e-9
 
 
-def test_an_operators_word_counts_for_hold_seconds_to_the_tick() -> None:
+def test_teleoperation_expires_at_the_exact_tick() -> None:
     for since in range(60):  # tick * dt rounds differently at each
         driver = TeleopDriver(_told(command_timeout=0.5))
         receives = _says(**{f"t{since}": FULL})
@@ -287,7 +287,7 @@ def test_an_operators_word_counts_for_hold_seconds_to_the_tick() -> None:
 
 @given(drives, drives)
 @settings(PROPERTY)
-def test_the_operators_newest_word_counts(old: Teleoperation, new: Teleoperation) -> None:
+def test_newest_teleoperation_counts(old: Teleoperation, new: Teleoperation) -> None:
     both, one = TeleopDriver(_told()), TeleopDriver(_told())
     for tick in range(3):
         state = (*MIDDLE, 0.05, 0.1)
@@ -313,7 +313,7 @@ def test_a_living_operators_goal_is_reached_and_stood_on(goal: Point) -> None:
     assert rows[-1, :2] == pytest.approx(goal, abs=1e-3)
 
 
-def test_nobody_at_the_wheel_and_an_empty_word_both_brake() -> None:
+def test_missing_operator_and_empty_teleoperation_both_brake() -> None:
     nobody, _ = _drive(TeleopDriver(_told()), 80, velocity=(V_G, 0.0))
     nothing = Teleoperation(operator="somebody")
     empty, _ = _drive(TeleopDriver(_told()), 80, velocity=(V_G, 0.0), receives=_says(t0=nothing))
@@ -356,7 +356,7 @@ def test_a_step_begins_at_the_first_tick_of_its_time(dt: float) -> None:
 
 @given(st.lists(st.tuples(st.floats(0.0, 10.0), anything), max_size=5), st.integers(0, 300))
 @settings(PROPERTY)
-def test_a_script_taken_up_late_is_where_it_would_have_been(steps, tick):
+def test_script_started_late_is_at_its_scheduled_step(steps, tick):
     late, whole = _script(*steps), _script(*steps)
     for k in range(tick):
         whole.drive(_observe(k, (*MIDDLE, 0.0, 0.0), {}))

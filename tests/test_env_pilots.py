@@ -50,7 +50,7 @@ def test_pilots_fly_the_same_bits_in_the_environment_as_in_a_run(scenario):
     np.testing.assert_array_equal(states, flight.recorder.states[:-1])
 
 
-def test_pilots_begin_anew_with_each_episode():
+def test_pilots_restart_with_each_episode():
     env = parallel_env(NOISY, duration=20.0)
     policies = pilots(env)
     first, other, again = (
@@ -71,7 +71,7 @@ def test_pilots_also_fly_float32_rows_and_rows_with_a_picture():
         assert env.metrics()["uav_0"]["visibility_violations"] == 0
 
 
-def test_pilots_take_a_weighting_of_ones_own():
+def test_pilots_accept_a_user_weighting():
     own = msgspec.structs.replace(
         NOISY, law=Law(name="weighted"), custom=Custom(weighting="mine:weighting")
     )

@@ -221,7 +221,7 @@ def test_real_ugv_is_tracked_consistently_and_accurately(legs):
 # When detections fail
 
 
-def test_nothing_is_believed_before_the_first_detection():
+def test_no_estimate_before_the_first_detection():
     estimator = make()
     assert all(look(estimator, k) is None for k in range(5))
     first = look(estimator, 5, (3.0, 4.0), own=(1.0, 1.0))
@@ -255,7 +255,7 @@ def test_filter_restarts_after_too_many_rejections():
     assert after.rejected == 5
 
 
-def test_a_believed_detection_between_outliers_restores_patience():
+def test_accepted_detection_resets_the_rejection_count():
     estimator = converged(max_rejections=3, speed=0.0)
     for k in range(400, 440):
         estimate = look(estimator, k, (20.0, 20.0) if k % 3 == 0 else (30.0, 20.0))
@@ -275,7 +275,7 @@ def test_coasting_goes_straight_on_while_age_and_covariance_grow():
         before = after
 
 
-def test_speed_is_never_believed_beyond_the_ugvs():
+def test_estimated_speed_never_exceeds_the_ugvs_limit():
     estimator = make()
     for k in range(100):  # seen at 1 m/s: five times what it can
         estimate = look(estimator, k, (20.0 + 1.0 * k * DT, 20.0))

@@ -152,7 +152,7 @@ def test_disabled_filter_holds_the_detection_taken_last():
     assert after.age == 2 * DT
 
 
-def test_the_gate_judges_anew_when_something_earlier_arrives():
+def test_gate_is_reevaluated_when_an_earlier_detection_arrives():
     estimator = make()
     call(estimator, 0)
     call(estimator, 1, detection(1, (30.0, 25.0)))  # an outlier, and the first that it receives of

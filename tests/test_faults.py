@@ -104,7 +104,7 @@ def test_absent_vehicle_brakes_in_real_time_and_resumes():
     assert summary["realtime"] == 20.0
 
 
-def test_a_vehicle_that_cannot_live_is_not_started_for_ever(tmp_path: Path) -> None:
+def test_repeatedly_failing_vehicle_is_not_restarted_forever(tmp_path: Path) -> None:
     (tmp_path / "deadly.py").write_text(
         "import os\n\ndef weighting(distance, r_s):\n"
         "    if 'OUTRIDER_DIES' in os.environ and distance > 2.0 and distance < r_s:\n        os._exit(3)\n"
@@ -219,7 +219,7 @@ def test_a_port_in_use_is_named(command) -> None:
     assert "Traceback" not in run.stderr
 
 
-def test_a_full_disk_takes_the_file_and_not_the_result(tmp_path: Path, command) -> None:
+def test_full_disk_loses_the_file_but_not_the_result(tmp_path: Path, command) -> None:
     """/dev/full answers every write as a full disk does."""
     for name in ("trajectory.csv", "flight.png"):
         (tmp_path / name).symlink_to("/dev/full")

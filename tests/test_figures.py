@@ -189,7 +189,7 @@ low high logarithmic | 1a | coverage alone leaves the circle of radius r_v aroun
 low linear bounded | 1b | at a high k_v, the velocity error peaks only where u_si turns
 """),
 )
-def test_flights_in_the_place_of_others_break_figures_1_and_3(flights, flown, figure, claim):
+def test_swapped_flights_break_figures_1_and_3(flights, flown, figure, claim):
     claims = {"1": claims_1, "3": claims_3}[figure[0]]
     assert (figure, claim) in failing(claims(*(flights[name] for name in words(flown))))
 

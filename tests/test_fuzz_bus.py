@@ -219,7 +219,7 @@ def test_flood_of_garbage_is_counted_and_changes_no_flight(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     "expression", ["**", "outrider/**", "*/run/ugv_0/*", "outrider/*/ugv_0/command"]
 )
-def test_what_is_put_on_a_pattern_is_nobodys_message(wire: Wire, expression: str) -> None:
+def test_message_on_a_wildcard_key_is_not_delivered(wire: Wire, expression: str) -> None:
     zenoh_of(wire.client).put(expression, b'{"tick":1,"acceleration":[0,0]}')
     assert wire.carry(()) == []
 

@@ -73,7 +73,7 @@ def test_false_ground_report_excuses_a_broken_certificate() -> None:
         (BLOCK, CLEAR, CLEAR, 0),
     ],
 )
-def test_false_words_on_drivable_ground_excuse(
+def test_false_reports_on_drivable_ground_excuse(
     before: int, told: int, true: int, untrue: int
 ) -> None:
     """A false alarm alone does not: it closes ground and opens none."""

@@ -68,7 +68,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight, Summa
     return path, flight, summarize(flight, seconds=1.0)
 
 
-def test_observers_alone_are_told_of_the_ground_with_its_hazards() -> None:
+def test_only_observers_receive_the_ground_with_hazards() -> None:
     assert set(GROUND.readers) == {Role.OBSERVER, Role.OPERATOR}
 
 
@@ -101,7 +101,7 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight, Rou
     return path, recorded(path, scenario, 1, exchange=routed), routed
 
 
-def test_no_vehicle_is_told_of_the_route_that_a_ugv_plans(planned) -> None:
+def test_no_vehicle_receives_the_planned_route_of_a_ugv(planned) -> None:
     _, flight, routed = planned
     forged = Routed(flight.scenario, forged=((1.25, 1.25), (3.25, 9.75)))
     flight = Flight(flight.scenario, 1)
@@ -187,7 +187,7 @@ def test_summary_states_the_mission_in_plain_words(flown, capsys) -> None:
         assert words in table
 
 
-def test_without_hazards_nobody_is_told_of_a_mission(tmp_path: Path, capsys: Any) -> None:
+def test_mission_is_not_reported_without_hazards(tmp_path: Path, capsys: Any) -> None:
     flight = recorded(tmp_path / "run.mcap", small("tracking", duration=1.0), 1)
     summary = summarize(flight, seconds=1.0)
     assert summary.mission is None
@@ -223,7 +223,7 @@ def test_film_shows_unknown_known_and_hit_hazards(flown) -> None:
     assert count(last, LIMIT) > count(first, LIMIT) + 200
 
 
-def test_the_terminal_marks_what_was_hit_and_what_was_found(flown) -> None:
+def test_terminal_marks_hit_and_found_hazards(flown) -> None:
     _, flight, _ = flown
     recording = flight_of(flown[0])
     *_, status = statuses(recording.path, flight=0)

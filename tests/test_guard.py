@@ -54,7 +54,7 @@ def kept_by(memory: FilterMemory) -> list[tuple[float, float, int]]:
 
 
 @pytest.mark.parametrize("delay", [0.0, 3 * DT])
-def test_a_memory_that_begins_again_is_as_fresh_as_a_new_one(delay: float) -> None:
+def test_reset_memory_equals_a_new_one(delay: float) -> None:
     bounds = bounds_of(declared(delay))
     fresh, used = filter_memory(bounds.delay_ticks, 8), filter_memory(bounds.delay_ticks, 8)
     decide(bounds, used, 0, Motion(20.0, 20.0, 0.1, 0.0), 0.1, 0.0)
@@ -70,7 +70,7 @@ def test_a_memory_that_begins_again_is_as_fresh_as_a_new_one(delay: float) -> No
 
 
 @pytest.mark.parametrize("taken", [-1, -8, 0, 3, 4, 10, 12, 19])
-def test_a_detection_of_a_tick_that_was_not_noted_is_ignored(taken: int) -> None:
+def test_detection_of_an_unrecorded_tick_is_ignored(taken: int) -> None:
     """Before the start, missed, later than now, or so long ago that another tick has its place in the track of 8."""
     bounds = bounds_of(declared())
     state = filter_memory(bounds.delay_ticks, 8)
@@ -201,7 +201,7 @@ def test_command_losses_within_the_declared_interval_keep_it() -> None:
     assert {uav.fly(OUT, lose=tick % 25 > 20) for tick in range(200)} == {None}
 
 
-def test_commands_that_may_not_have_been_sent_are_not_relied_on() -> None:
+def test_possibly_unsent_commands_are_not_relied_on() -> None:
     uav = Vehicle(0.3)
     for _ in range(10):
         assert uav.fly(OUT) is None
@@ -233,7 +233,7 @@ def test_bare_accelerations_with_command_delay_are_not_certified(delay, outage) 
     assert None not in said[3:]
 
 
-def test_a_course_knows_the_walls() -> None:
+def test_predicted_trajectory_stops_at_the_walls() -> None:
     """The vehicle stops at a wall; a filter that did not know would find it off its course."""
     uav = Vehicle(0.5, area=Area(width=21.0, height=21.0, cell=0.5))
     assert {uav.fly((U_A, 0.1)) for _ in range(300)} == {None}

@@ -63,7 +63,7 @@ def test_a_detection_comes_late_and_says_when_it_was_taken() -> None:
         assert look.time == (tick - 10) * 0.05
 
 
-def test_late_command_is_held_and_then_the_vehicle_brakes() -> None:
+def test_vehicle_keeps_a_late_command_and_then_brakes() -> None:
     late = moving(LinkTable(commands=LinkSettings(delay=0.2)))
     applied = []
     for tick in range(12):

@@ -74,7 +74,7 @@ def _flown(uav: Any, ahead: Ahead, motion: np.ndarray, looks: int) -> float:
 
 
 @pytest.mark.parametrize(("cell", "looks", "within"), [(1.5, 1, 1e-3), (0.25, 20, 0.05)])
-def test_a_motion_is_worth_what_the_kernels_of_the_world_say(cell, looks, within) -> None:
+def test_value_of_a_motion_matches_the_kernels_of_the_world(cell, looks, within) -> None:
     """On the coarse cells themselves, and on cells of the world with a look at every tick."""
     c, rng = _uav(cell), np.random.default_rng(3)
     coverage = empty_coverage(36.0, 36.0, cell)
@@ -163,7 +163,7 @@ def _observations(law: Law | None = None) -> list[UavObservation]:
     return found
 
 
-def test_a_process_that_joins_again_goes_on_with_the_same_motion() -> None:
+def test_rejoining_process_continues_the_same_motion() -> None:
     briefing = told(SCENARIOS["lookahead"])
     seen = _observations()
     one, other = UavPilot(briefing), UavPilot(briefing)

@@ -55,26 +55,26 @@ def flown(world: World, commands: dict[int, tuple[BackupTrajectory, ...]], ticks
 # -- the receiver
 
 
-def test_a_motion_that_comes_early_begins_in_its_own_tick() -> None:
+def test_early_trajectory_starts_in_its_own_tick() -> None:
     assert flown(still(), {0: (rest(4),)}, 6) == [None, None, None, None, 4, 4]
 
 
-def test_a_motion_that_comes_late_never_begins() -> None:
+def test_late_trajectory_never_starts() -> None:
     assert flown(still(), {3: (rest(2),)}, 8) == [None] * 8
 
 
-def test_a_motion_begins_only_if_its_parent_is_flown() -> None:
+def test_trajectory_starts_only_if_its_parent_is_flown() -> None:
     world = still()
     chain = {0: (rest(0),), 1: (rest(1, 0),), 2: (rest(2, 0),), 3: (rest(3, 1),)}
     assert flown(world, chain, 5) == [0, 1, 1, 3, 3]  # 2 goes on from 0, which is no longer flown
 
 
-def test_command_carries_the_motions_of_lost_ones() -> None:
+def test_command_repeats_the_trajectories_of_lost_commands() -> None:
     world = still()
     assert flown(world, {3: (rest(3), rest(4, 3), rest(5, 4))}, 7) == [None, None, None, 3, 4, 5, 5]
 
 
-def test_a_motion_is_flown_to_its_end_and_then_the_vehicle_rests() -> None:
+def test_trajectory_is_flown_to_its_end_and_the_vehicle_rests() -> None:
     world = still()
     plan = BackupTrajectory(0, -1, (0.2, 0.0), 2, 3, 4, (0.0, 0.1), (-0.05, -0.05))
     world.send(0, 0, (9.0, 9.0), (plan,))
@@ -87,7 +87,7 @@ def test_a_motion_is_flown_to_its_end_and_then_the_vehicle_rests() -> None:
 
 
 @pytest.mark.parametrize(("outage", "begun"), [(0.05, True), (1.0, False)])
-def test_late_motion_acts_as_acceleration_after_the_timeout(outage, begun):
+def test_late_trajectory_acts_as_acceleration_after_the_timeout(outage, begun):
     """Before that it is void."""
     world = still(outage, 0.0)
     for tick in range(1, 4):
@@ -102,7 +102,7 @@ def test_late_motion_acts_as_acceleration_after_the_timeout(outage, begun):
     assert (world.flown(0), world.commands[0].tolist()) == (tick, [0.3, 0.0])
 
 
-def test_commands_with_and_without_motions_take_over() -> None:
+def test_commands_with_and_without_trajectories_take_effect() -> None:
     world = still()
     world.send(0, 0, (0.0, 0.0), (rest(0),))
     world.advance()
@@ -116,7 +116,7 @@ def test_commands_with_and_without_motions_take_over() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(st.integers(-2, 12), st.integers(-1, 12)), max_size=6))
-def test_receiver_flies_a_received_motion_or_rests(sent) -> None:
+def test_receiver_flies_a_received_trajectory_or_rests(sent) -> None:
     motions = [BackupTrajectory(max(0, begins), parent, (0.1, 0.0)) for begins, parent in sent]
     world = still()
     told_flown = flown(
@@ -127,7 +127,7 @@ def test_receiver_flies_a_received_motion_or_rests(sent) -> None:
     assert np.linalg.norm(world.velocity[0]) <= 0.6
 
 
-def test_a_motion_survives_its_message() -> None:
+def test_trajectory_survives_encoding() -> None:
     motion = BackupTrajectory(7, 6, (0.1, -0.2), 1, 2, 3, (0.25, 0.5), (-0.125, 1e-9))
     assert struct_of(BackupTrajectory, received_motion(motion)[0]) == motion
 
@@ -135,7 +135,7 @@ def test_a_motion_survives_its_message() -> None:
 # -- the pilot
 
 
-def test_a_command_with_all_its_motions_is_at_most_a_kilobyte() -> None:
+def test_command_with_all_trajectories_is_at_most_a_kilobyte() -> None:
     env, taken = parallel_env(LOST), []
     observations, _ = env.reset(seed=1)
     policies = pilots(env)
@@ -150,7 +150,7 @@ def test_a_command_with_all_its_motions_is_at_most_a_kilobyte() -> None:
     assert max(len(msgspec.json.encode(motions)) for motions in taken) <= 1024
 
 
-def test_more_motions_than_a_command_may_carry_are_refused() -> None:
+def test_too_many_trajectories_in_a_command_are_refused() -> None:
     command = UavCommand(
         tick=0, acceleration=(0.0, 0.0), backup_trajectories=(rest(0),) * (MOST_CARRIED + 1)
     )
@@ -177,7 +177,7 @@ def test_lossy_recorded_links_fly_alike_over_three_processes() -> None:
     assert there["links"]["uav_0/detections"]["lost"]["trace"] > 0
 
 
-def test_excessive_motions_are_counted_and_reported_once(caplog) -> None:
+def test_excessive_trajectories_are_counted_and_reported_once(caplog) -> None:
     """As a pilot of somebody else's may send them; those of ours never are."""
     flight, _ = fly(LOST, 3)
     assert flight.answers.shortened == {"uav_0": 0, "ugv_0": 0}
@@ -198,7 +198,7 @@ def test_excessive_motions_are_counted_and_reported_once(caplog) -> None:
 # -- the theorem
 
 
-def test_an_outage_costs_radius_and_age() -> None:
+def test_command_interval_costs_radius_and_age() -> None:
     paper = PROMISED | {"eps": 0.3, "age": 5.0}
     numbers = [certified(**paper, outage=b) for b in (0.05, 1.0, 4.0)]
     assert [c.handover_bound for c in numbers] == sorted(
@@ -230,7 +230,7 @@ def test_filtered_policy_keeps_sight_while_commands_are_lost() -> None:
     assert interventions > 0
 
 
-def test_undeclared_silence_is_reported_by_name() -> None:
+def test_undeclared_command_gap_is_reported_by_name() -> None:
     scenario = small(
         "certified",
         links=LinkTable(commands=msgspec.structs.replace(LOSSY, blackouts=((5.0, 3.0),))),
@@ -256,7 +256,7 @@ def reasons(
     return found
 
 
-def test_unavoidable_outage_is_reported_at_once() -> None:
+def test_unavoidable_command_gap_is_reported_at_once() -> None:
     """And not as a plan that is missing, when it is too late: the next motion begins tau_c from now, or later."""
     # what begins in tick 14 is lost
     said = reasons(0.4, 0.3, range(20), lambda tick: None if tick < 9 else min(tick - 1, 13))
@@ -276,14 +276,14 @@ def test_pushed_vehicle_is_reported_and_certified_again() -> None:
     assert set(said[7:]) == {None}  # at rest it is checked anew at once
 
 
-def test_what_another_pilot_has_sent_is_not_trusted() -> None:
+def test_trajectory_of_another_pilot_is_not_trusted() -> None:
     """A filter that is told of a motion that it has not sent certifies nothing until its own are flown."""
     said = reasons(0.1, 1.0, range(40, 52), lambda tick: 39 if tick < 43 else tick - 1)
     assert said[0] == NotCertified.UNCHECKED_PLAN
     assert said[-1] is None
 
 
-def test_reported_motion_does_not_depend_on_the_ugv() -> None:
+def test_reported_trajectory_does_not_depend_on_the_ugv() -> None:
     """Its own links and motions lead to it, and nothing else: two UGVs that move differently, one answer."""
     scenario = small(
         "certified",

@@ -141,7 +141,7 @@ def test_debug_shows_and_logs_the_traceback_of_a_vehicle(here, monkeypatch, comm
         (FileNotFoundError(errno.ENOENT, "not there", "a.csv"), "outrider: a.csv: not there"),
     ],
 )
-def test_an_error_of_the_system_is_told_as_what_it_is(raised, told, monkeypatch, command):
+def test_system_error_is_reported_by_its_cause(raised, told, monkeypatch, command):
     from outrider.cli import doctor
 
     broken = create_autospec(doctor.command, side_effect=raised)
@@ -212,7 +212,7 @@ def test_an_option_means_the_same_in_every_command():
     assert {name: seen for name, seen in kinds.items() if len(seen) > 1} == {}
 
 
-def test_an_error_in_a_weighting_of_ones_own_names_its_line(here, command):
+def test_error_in_a_user_weighting_names_its_line(here, command):
     (here / "steep.py").write_text("def share(d, r_s):\n    return d.nothing\n")
     done = command(
         *words("run --in-process --no-files --law weighted --set custom.weighting=steep:share")
@@ -305,7 +305,7 @@ def test_the_shell_completes_commands():
         ("uav_policy", {"law": "certified"}),
     ],
 )
-def test_code_of_ones_own_is_flown_or_warned_of(own: str, options: dict[str, str]) -> None:
+def test_user_code_is_flown_or_warned_about(own: str, options: dict[str, str]) -> None:
     code = [f"custom.{own}=mine:f"]
     flown, named = resolve("escort", changes=code, **options)
     assert (foreign_code(flown, named), scenario_warnings(flown)) == ((), ())
@@ -327,7 +327,7 @@ def test_a_vehicle_without_a_name_gets_the_next_one(tmp_path):
     assert [ugv.name for ugv in scenario.ugv] == ["ugv_0", "ugv_1"]
 
 
-def test_answers_in_wrong_units_are_counted_or_told_once(tmp_path, monkeypatch, caplog):
+def test_commands_in_wrong_units_are_counted_or_reported_once(tmp_path, monkeypatch, caplog):
     (tmp_path / "units.py").write_text(
         "class Rows:\n    def predict(self, row):\n        return (5.0, 0.0)\n\nrows = Rows()\n\n"
         "def wheel(observation, briefing):\n    return (5.0, 0.0)\n"
@@ -350,7 +350,7 @@ def test_answers_in_wrong_units_are_counted_or_told_once(tmp_path, monkeypatch, 
 
 
 @pytest.mark.parametrize("law", [law.name for law in LAWS.values() if not law.own])
-def test_no_law_of_ours_asks_for_more_than_its_bound(law):
+def test_no_builtin_law_exceeds_its_bound(law):
     scenario = load_scenario("escort", overrides={"duration": 20.0, "law.name": law})
     flight, summary = fly(scenario, 7)
     assert flight.answers.shortened == {"uav_0": 0, "ugv_0": 0}
@@ -394,7 +394,7 @@ def test_blind_built_in_pilot_is_not_called_external():
     assert summary.uncertified == {"NO_REPORT": 60}
 
 
-def test_ctrl_c_is_told_in_one_line_however_early_it_comes(monkeypatch, command):
+def test_early_ctrl_c_is_reported_in_one_line(monkeypatch, command):
     from outrider.cli import doctor
     from outrider.cli import main as module
 

@@ -69,7 +69,7 @@ def test_ugv_alone_flies_alike_in_run_environment_and_batch(flown) -> None:
     assert flight.world.position[0].tolist() != list(alone().ugv[0].position)
 
 
-def test_a_ugv_alone_drives_as_one_whose_uav_says_nothing() -> None:
+def test_ugv_alone_drives_like_one_with_a_silent_uav() -> None:
     silent = load_scenario("minefield", overrides=["ground.map_update_rate=0.0", "duration=40.0"])
     alone = msgspec.structs.replace(silent, uav=())
     assert np.array_equal(positions(alone, [1, 2]), positions(silent, [1, 2]))
@@ -146,7 +146,7 @@ def test_a_sweep_flies_a_ugv_alone_but_no_laws_over_it() -> None:
         lay_out(Sweep(scenario="minefield", laws=("circle",), set=alone, block=(block,)))
 
 
-def test_what_is_declared_for_uavs_is_nothing_without_one() -> None:
+def test_uav_declarations_have_no_effect_without_a_uav() -> None:
     changes = ["uav=[]", "certificate.max_command_interval=1.0", "law.name=path", "duration=2.0"]
     scenario = load_scenario("minefield", overrides=changes)
     windy = msgspec.structs.replace(scenario, wind=Wind(mean=(0.05, 0.0)), links=LinkTable())

@@ -128,7 +128,7 @@ def test_the_papers_rate_collapses_the_circle() -> None:
     assert summary.mean_distance < 1.0
 
 
-def test_a_radius_of_ones_own_is_flown() -> None:
+def test_user_radius_is_flown() -> None:
     flight, _ = fly(
         _round_trip(Law(name="circle", parameters={"circle_rate": 0.1, "circle_radius": 1.5})), 0
     )

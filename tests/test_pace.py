@@ -87,7 +87,7 @@ TIMETABLES = {
 
 
 @pytest.mark.parametrize("timetable", TIMETABLES.values(), ids=TIMETABLES)
-def test_vehicles_that_went_with_their_router_are_waited_for(timetable: Any) -> None:
+def test_vehicles_lost_with_their_router_are_awaited(timetable: Any) -> None:
     events: list[str] = []
     bus = Bus(*timetable)
     bus.refuses_to_answer = set(NAMES)  # what was asked of them before went with the router

@@ -149,7 +149,7 @@ def test_the_uavs_command_is_within_its_bound() -> None:
         assert norm(u_x, u_y) <= U_A * (1.0 + 1e-15)
 
 
-def test_the_uav_reports_where_it_believes_the_ugv_to_be() -> None:
+def test_uav_reports_its_estimate_of_the_ugv() -> None:
     command = UavPilot(told(escort())).act(uav_sees(0, (0.0, (1.5, -2.0))))
     assert command.report is not None
     assert command.report.estimate == (18.5, 22.0)

@@ -141,7 +141,7 @@ NONSENSE = [
 
 @KINDS
 @pytest.mark.parametrize("answer", NONSENSE, ids=range(len(NONSENSE)))
-def test_nonsense_is_named_in_one_line(answer: object, kind: Any) -> None:
+def test_invalid_answer_is_named_in_one_line(answer: object, kind: Any) -> None:
     with refused(
         ScenarioError, r"^policy = 'mine:drive': tick 12: returned .+; allowed: two finite numbers"
     ) as caught:
@@ -151,7 +151,7 @@ def test_nonsense_is_named_in_one_line(answer: object, kind: Any) -> None:
         assert "(0.1, 0.2, 0.3)" in str(caught.value)
 
 
-def test_what_was_predicted_may_not_be_more_than_a_message_holds() -> None:
+def test_prediction_too_large_for_a_message_is_refused() -> None:
     with refused(ScenarioError, r"returned \(2000000.0, 0.0\); allowed: two finite numbers"):
         _asked((2e6, 0.0), _model)
 
@@ -272,7 +272,7 @@ def test_failing_import_is_named_in_one_line(here: Path) -> None:
         ("needy:wheel", "No module named 'nowhere_at_all'"),
     ],
 )
-def test_an_object_that_is_not_found_is_told_with_its_file(name, told, here, monkeypatch):
+def test_missing_object_is_reported_with_its_file(name, told, here, monkeypatch):
     monkeypatch.setattr(sys, "path", sys.path.copy())
     for file in ("queue", "my_drivers"):
         (here / f"{file}.py").write_text("def wheel(observation, briefing):\n    return 0.1, 0.0\n")

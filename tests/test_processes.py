@@ -201,7 +201,7 @@ def test_a_vehicle_that_never_comes_is_named() -> None:
     assert "Traceback" not in run.stderr
 
 
-def test_what_lies_in_the_working_folder_takes_no_modules_place(tmp_path: Path) -> None:
+def test_files_in_the_working_folder_shadow_no_module(tmp_path: Path) -> None:
     for name in ("zenoh", "msgspec", "numba", "socket", "subprocess"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('hijacked')\n", encoding="utf-8")
     hostile = 'raise SystemExit(f"hijacked by {__name__}")\n'

@@ -99,7 +99,7 @@ KEPT = [
 
 
 @pytest.mark.parametrize("changes", KEPT)
-def test_where_the_assumptions_are_kept_nothing_is_told(changes: list[str]) -> None:
+def test_satisfied_assumptions_give_no_warning(changes: list[str]) -> None:
     assert assumption_warnings(certified(*changes)) == ()
 
 
@@ -133,7 +133,7 @@ COMMANDS = [
 
 
 @pytest.mark.parametrize("settings", COMMANDS)
-def test_what_is_said_of_a_link_is_what_the_link_does(settings: LinkSettings) -> None:
+def test_description_of_a_link_matches_its_behaviour(settings: LinkSettings) -> None:
     ticks = 6_000
     link, p = OneLink(settings, dt=DT, key=a_key(1)), link_parameters(settings, DT)
     newest, ages, arrived = -1, np.zeros(ticks, dtype=int), np.full(ticks, 999)
@@ -178,13 +178,13 @@ def test_permanently_late_commands_are_refused(changes, told):
             load_scenario("escort", overrides=[f"law.name={law}", *changes.split(" & ")])
 
 
-def test_a_delay_that_hold_allows_is_flown() -> None:
+def test_delay_within_the_command_timeout_is_flown() -> None:
     for hold, delay in ((0.5, 0.5), (0.0, 0.0), (0.35, 0.35)):
         changes = [f"command_timeout={hold}", f"links.commands.delay={delay}"]
         assert load_scenario("escort", overrides=changes).command_timeout == hold
 
 
-def test_check_says_that_nothing_can_be_certified(command) -> None:
+def test_check_reports_that_nothing_can_be_certified(command) -> None:
     changes = ("--set", "links.commands.delay=0.3", "--set", "certificate.max_command_delay=0.1")
     done = command("check", "escort", *changes)
     assert done.returncode == 0

@@ -153,7 +153,7 @@ def test_links_within_the_repository_lead_somewhere(page: str) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_names_and_paths_of_the_code_that_are_told_exist(page: str) -> None:
+def test_documented_names_and_paths_exist(page: str) -> None:
     ours = r"`((?:agents|sim|bus|outrider)(?:\.[A-Za-z_]\w*)+)"
     for name in set(re.findall(ours, PAGES[page])):
         parts = name.split(".")

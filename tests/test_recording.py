@@ -248,7 +248,7 @@ def test_the_map_is_the_ground(flown: tuple[Path, Flight]) -> None:
     assert (last.rows, last.columns) == flight.world.coverage.shape
 
 
-def test_status_and_log_tell_how_it_went(tmp_path: Path) -> None:
+def test_status_and_log_describe_the_run(tmp_path: Path) -> None:
     blind = escort("coverage", ugv=Ugv(position=(20.0, 21.0), goals=((30.0, 21.0),)), duration=60.0)
     path = tmp_path / "run.mcap"
     recorder = FlightRecorder(path, blind, 0)
@@ -525,7 +525,7 @@ def test_another_programs_mcap_is_refused(tmp_path: Path, encoding: str) -> None
     assert not damage.reason
 
 
-def test_a_full_disk_does_not_end_the_flight_and_is_told() -> None:
+def test_full_disk_is_reported_and_does_not_end_the_run() -> None:
     with pytest.raises(OSError, match="No space left"):
         FlightRecorder(Path("/dev/full"), SCENARIO, SEED)
 

@@ -162,7 +162,7 @@ def test_an_observer_writes_each_change_once(tmp_path: Path) -> None:
     assert load(tmp_path / "run.mcap")[0].changes == changes
 
 
-def test_a_word_that_does_not_decode_is_one_line(tmp_path: Path) -> None:
+def test_undecodable_teleoperation_is_one_line(tmp_path: Path) -> None:
     from mcap.writer import Writer
 
     from bus.errors import ScenarioError

@@ -75,7 +75,7 @@ def test_user_settings_change_no_byte_of_the_picture(flight, drawn, tmp_path):
     assert drawn.read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_header_tells_scenario_law_seed_distance_and_margin(flight):
+def test_header_shows_scenario_law_seed_distance_and_margin(flight):
     told = " ".join(words(flight_figure(flight)))
     farthest = flight.recorder.escorts[:, 0, 0].max()
     for part in (
@@ -194,7 +194,7 @@ def narrow(width, height):
     ],
     ids=["a UGV that is never seen", "narrow", "low", "a name that is no formula"],
 )
-def test_whatever_is_odd_is_drawn(odd, tmp_path):
+def test_unusual_scenario_is_drawn(odd, tmp_path):
     flown, summary = fly(odd, 0)
     assert (summary.detections == 0) is (odd.detections.dropout == 1.0)
     draw_flight(flown, tmp_path / "flight.png")
@@ -211,7 +211,7 @@ def test_whatever_is_odd_is_drawn(odd, tmp_path):
     ],
     ids=["paper", "unbounded", "too fast to stop in time"],
 )
-def test_r_s_is_drawn_only_where_it_is_a_circle_of_its_own(uav, drawn):
+def test_r_s_is_drawn_only_as_a_separate_circle(uav, drawn):
     law = Law(name="coverage", parameters={"reference_speed": 0.6})
     figure = flight_figure(
         fly(msgspec.structs.replace(scenario(uav=uav, duration=1.0), law=law), 0)[0]

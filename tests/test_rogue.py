@@ -248,7 +248,7 @@ def test_rogue_finds_seed_and_true_position_without_a_secret(place, way, secret)
     assert np.abs(told.said - true)[told.found].max() > 0.1  # which the looks themselves do not say
 
 
-def test_a_secret_that_is_wrong_by_one_bit_finds_nothing() -> None:
+def test_secret_with_one_wrong_bit_finds_nothing() -> None:
     told, _ = _on_the_bus(SECRET)
     other = f"{int(SECRET, 16) ^ 1:032x}"
     assert all(_search(told, way, other, SEED - 50_000, 100_000) == [] for way in WAYS)

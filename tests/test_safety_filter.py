@@ -65,7 +65,7 @@ def test_the_paper_s_law_loses_sight_where_the_filter_keeps_it() -> None:
     assert fly(watched(*DARK, "law.name=switching"), 7)[1].max_distance > R_V
 
 
-def test_undegraded_the_filter_leaves_the_law_alone() -> None:
+def test_safety_filter_does_not_override_the_undegraded_law() -> None:
     certified = fly(watched(driver="waypoints"), 7)
     plain = fly(watched("law.name=logarithmic", driver="waypoints"), 7)
     assert certified[1].overridden_share == 0.0
@@ -80,7 +80,7 @@ links.commands.delay=0.5 certificate.max_command_delay=0.0 | COMMAND_INTERVAL
 detections.noise=0.5 certificate.max_measurement_error=0.2 | CONTRADICTION
 """),
 )
-def test_a_broken_assumption_is_told_with_its_name(changes: str, reason: str) -> None:
+def test_broken_assumption_is_reported_by_name(changes: str, reason: str) -> None:
     _, summary = fly(watched(*words(changes), duration=60.0), 7)
     assert summary.certified_share < 1.0
     assert reason in summary.uncertified
@@ -204,7 +204,7 @@ def test_moving_uav_is_certified_from_its_first_plan_on() -> None:
     assert summary.uncertified[unchecked] <= 0.5 / 0.05 + 1
 
 
-def test_a_filter_may_be_taken_up_in_the_middle_of_a_flight() -> None:
+def test_safety_filter_can_start_in_flight() -> None:
     """An operator chooses the law while it flies: the certificate begins with the next detection."""
     from agents.uav import UavPilot
     from bus.messages.scenario import Law

@@ -245,7 +245,7 @@ def test_a_circle_is_warned_of_just_above_the_bound(overrides: list[str], bound:
         assert f"allowed up to {bound:.4f} rad/s" in line
 
 
-def test_what_will_surprise_is_warned_of_and_nothing_else() -> None:
+def test_surprising_settings_and_nothing_else_give_warnings() -> None:
     warned = {name: scenario_warnings(load_scenario(name)) for name in SHIPPED}
     assert {name for name, lines in warned.items() if lines} == {
         name for name in SHIPPED if "figure-1" in name or "fast" in name

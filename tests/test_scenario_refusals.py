@@ -281,7 +281,7 @@ dt=0.3 | duration = 200.0: not a whole number of ticks; allowed: multiples of dt
 
 
 @pytest.mark.parametrize(("change", "start"), CHANGES)
-def test_a_change_that_cannot_be_made_is_told_in_our_words(change: str, start: str) -> None:
+def test_impossible_override_is_a_scenario_error(change: str, start: str) -> None:
     line = refusal(overrides=[change])
     assert line.startswith(f"escort: {start}")
     assert len(line) < 250 or "unknown field" in line

@@ -205,7 +205,7 @@ def test_block_beyond_the_uavs_sensor_data_is_not_sent(
     assert not blocks_received(flight)
 
 
-def test_no_number_is_smuggled_by_what_a_block_leaves_out() -> None:
+def test_omitted_tiles_of_a_block_carry_no_information() -> None:
     """A UAV that says a tile for a 1 and nothing for a 0: the UGV receives all that the sensor has told."""
     scenario = msgspec.structs.replace(on(DISC, MUD), duration=20.0)
 
@@ -252,7 +252,7 @@ def test_relative_information_comes_five_times_a_second() -> None:
     assert flight.radio.refused == {"uav_0": 4 * scenario.ticks - len(ticks)}
 
 
-def test_the_sign_of_a_zero_carries_nothing_either() -> None:
+def test_sign_of_a_zero_carries_no_information() -> None:
     scenario = msgspec.structs.replace(on(DISC), duration=1.0)
     told = RelativeInformation(time=-0.0, relative_position=(1.0, 2.0), coverage_error=0.0)
     flight, received = Flight(scenario, 1), []
@@ -284,7 +284,7 @@ def test_ugv_receives_the_ground_the_uav_has_seen() -> None:
     assert {BLOCK, ROUGH} <= set(received.ravel().tolist())
 
 
-def test_the_mission_tells_how_long_before_each_hazard_was_known() -> None:
+def test_mission_reports_the_warning_time_of_each_hazard() -> None:
     scenario = on(DISC, MUD, at=(7.2, 5.7), touch="damage")
     world = World(scenario, 1)
     block = MapUpdate(column=2, row=1, tiles="." * 32 + "....##.." + "." * 24)
@@ -336,7 +336,7 @@ def test_hazard_clearance_is_the_smallest_distance() -> None:
     assert (state.met[0, 0] == np.where(on_way, first, 0)).all()
 
 
-def test_without_hazards_nothing_is_told_and_nothing_is_kept() -> None:
+def test_no_tiles_are_sensed_or_stored_without_hazards() -> None:
     world = World(small("tracking"), 1)
     assert drive(world, 5) == [[(), ()]] * 6
     assert world.mission is None

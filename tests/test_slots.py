@@ -131,7 +131,7 @@ def test_lost_vehicle_brakes_and_returns_without_missed_data(tmp_path):
     assert (abs(flight.recorder.states[165:back, 0, 2:4]) < 1e-9).all()
 
 
-def test_a_vehicle_that_does_not_come_back_is_given_up_once(tmp_path: Path) -> None:
+def test_vehicle_that_does_not_return_is_given_up_once(tmp_path: Path) -> None:
     with stage(tmp_path, 60, respawn=True, join_timeout=0.4) as run:
         run.start("ugv_0")
         run.start("uav_0", until=20)

@@ -204,7 +204,7 @@ def test_sweep_rows_equal_single_runs_for_any_jobs(tmp_path):
     assert flown(tmp_path / "one", plan, jobs=1) == two
 
 
-def test_violations_are_told_from_visible_runs():
+def test_violations_are_distinguished_from_visible_runs():
     seen = load_scenario("escort", overrides=QUICK)
     lost = load_scenario("figure-1-high-gain", overrides=["duration=80.0", "area.cell=0.5"])
     (good,), (bad,) = fly_runs(seen, {0: 1}), fly_runs(lost, {0: 1})
@@ -408,7 +408,7 @@ GIVEN = {
 
 
 @pytest.mark.parametrize("case", GIVEN)
-def test_what_makes_no_sense_is_refused_in_one_line(case):
+def test_invalid_sweep_is_refused_in_one_line(case):
     given, told = GIVEN[case]
     assert told in refusal(**given)
 
@@ -431,7 +431,7 @@ FILES = {
 
 
 @pytest.mark.parametrize("case", FILES)
-def test_a_file_that_makes_no_sense_is_refused_in_one_line(case, tmp_path):
+def test_invalid_sweep_file_is_refused_in_one_line(case, tmp_path):
     text, told = FILES[case]
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     line = refusal(str(tmp_path / "mine.toml"))
@@ -446,7 +446,7 @@ def test_an_unknown_sweep_names_the_known_ones():
     assert "escort" in line
 
 
-def test_a_sweep_that_says_itself_what_is_varied_takes_no_vary():
+def test_sweep_with_its_own_variation_refuses_vary():
     assert "--vary" in refusal("network", vary=["dt=0.1"])
 
 

@@ -70,7 +70,7 @@ def conserved(link: OneLink) -> bool:
 
 @pytest.mark.parametrize("number", [1, 2, 3])
 @pytest.mark.parametrize("delay", [0.0, 0.12])
-def test_a_message_has_the_fate_of_the_row_nearest_before_it(number: int, delay: float) -> None:
+def test_message_follows_the_last_row_before_it(number: int, delay: float) -> None:
     key, ticks = a_key(number, 5), 100
     link = OneLink(
         LinkSettings(trace="trace", delay=delay), dt=DT, key=key, traces=(a_trace(TABLE),)
@@ -461,7 +461,7 @@ def test_a_scenario_names_recordings_beside_it_or_below(trace, told, tmp_path) -
         (("links.radio.duplicates=0.5",), "allowed: 0; delay and blackouts can"),
     ],
 )
-def test_what_cannot_stand_beside_a_recording_is_refused(changes, told, tmp_path) -> None:
+def test_settings_incompatible_with_a_recording_are_refused(changes, told, tmp_path) -> None:
     (tmp_path / "t.csv").write_text(TABLE)
     assert told in refusal(overrides=[f"links.radio.trace={tmp_path}/t.csv", *changes])
     (tmp_path / "t.csv").write_text(MAHIMAHI)

@@ -60,7 +60,7 @@ def test_each_world_is_the_parallel_environment_also_over_ends(name: str) -> Non
     assert ends >= 3 or agent == "ugv_0"
 
 
-def test_everybody_may_learn() -> None:
+def test_every_vehicle_may_learn() -> None:
     singles = [outrider.parallel_env(SEVERAL) for _ in range(2)]
     many = outrider.parallel_vector_env(SEVERAL, num_envs=2)
     assert many.possible_agents == singles[0].possible_agents
@@ -175,7 +175,7 @@ def test_it_is_a_gymnasium_vector_environment() -> None:
     recorded.close()
 
 
-def test_a_part_of_the_worlds_can_begin_anew() -> None:
+def test_a_part_of_the_worlds_can_be_reset() -> None:
     env = outrider.vector_env(SCENARIO, num_envs=3, agent="uav_0")
     first, _ = env.reset(seed=7)
     for actions in random_actions(3, 10):

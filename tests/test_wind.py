@@ -99,7 +99,7 @@ def test_an_unstable_loop_has_no_bound(gains) -> None:
 # -- the certificate
 
 
-def test_w_is_taken_off_the_radius_and_added_to_the_error() -> None:
+def test_tracking_error_reduces_the_radius_and_adds_to_the_error() -> None:
     numbers = PROMISED | {"age": 5.0}
     with_w = certified(**numbers, eps=0.3, tracking=0.4)
     without = certified(**numbers | {"r_v": 4.35}, eps=0.7)
@@ -172,7 +172,7 @@ def test_wind_changes_no_other_draw_or_own_state() -> None:
     assert not np.array_equal(one.position, other.position)
 
 
-def test_no_vehicle_is_told_of_the_wind() -> None:
+def test_no_vehicle_receives_the_wind() -> None:
     declared = Certificate(max_tracking_error=0.5)
     stormy = small("certified", wind=Wind(mean=(0.1, 0.0), gust=0.05), certificate=declared)
     assert told(stormy) == told(small("certified", certificate=declared))
@@ -212,7 +212,7 @@ def test_wind_and_lost_commands_leave_every_tick_certified() -> None:
     assert summary.certified_while_lost == summary.certificate_broken == 0
 
 
-def test_a_process_that_joins_again_is_told_what_it_was_told() -> None:
+def test_rejoining_process_receives_its_past_unchanged() -> None:
     seen = []
 
     def look(flight) -> None:

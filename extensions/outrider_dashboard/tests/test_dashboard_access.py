@@ -150,7 +150,7 @@ def test_a_token_that_can_be_guessed_is_refused(token: str) -> None:
 
 
 @pytest.mark.parametrize(("host", "token"), [("0.0.0.0", ""), ("127.0.0.1", TOKEN)])  # noqa: S104
-def test_no_token_is_refused_where_it_cannot_hold(host: str, token: str) -> None:
+def test_disabled_token_is_refused_where_it_cannot_protect(host: str, token: str) -> None:
     with pytest.raises(ScenarioError, match="--no-token"):
         choose_token(host, token, wanted=False)
 
@@ -269,7 +269,7 @@ def ended(connection: socket.socket, seconds: float) -> bytes:
     [b"Cookie: " + b'a="\\"' * 40_000 + b"\r\n", b"a: b\r\n" * 3_000_000],
     ids=["cookie of 160 kB", "3 million headers"],
 )
-def test_a_large_head_costs_nobody_time_or_memory(header: bytes) -> None:
+def test_large_head_costs_no_time_or_memory(header: bytes) -> None:
     with served() as server, server.connect() as attack:
         assert server.status(f"/?token={TOKEN}") == 303
         before = server.peak()

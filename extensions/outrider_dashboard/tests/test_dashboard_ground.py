@@ -42,7 +42,7 @@ def frame_of(hub: Hub) -> Any:
 
 
 @pytest.mark.parametrize("driver", ["waypoints", "navigate"])
-def test_the_page_is_given_the_ground_and_the_route_as_the_tape_goes_on(driver, tmp_path) -> None:
+def test_page_receives_ground_and_route_as_replay_advances(driver, tmp_path) -> None:
     recorded(tmp_path / "run.mcap", course(driver), 1)
     *_, last = grounds(tmp_path / "run.mcap", flight=0)
     hub = taken_in(tmp_path / "run.mcap")
@@ -59,7 +59,7 @@ def test_the_page_is_given_the_ground_and_the_route_as_the_tape_goes_on(driver, 
     assert frame["status"]["mission"]["hazards_hit"] == (driver == "waypoints")
 
 
-def test_the_page_is_given_a_ugv_without_a_uav(tmp_path: Path) -> None:
+def test_page_shows_a_ugv_without_a_uav(tmp_path: Path) -> None:
     alone = load_scenario("escort", overrides={"uav": [], "duration": 2.0})
     recorded(tmp_path / "run.mcap", alone, 1)
     frame = frame_of(taken_in(tmp_path / "run.mcap", 2.0))

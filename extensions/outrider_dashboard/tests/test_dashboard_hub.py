@@ -33,7 +33,7 @@ def status(law: str, *controls: Control) -> Status:
         (False, True, "The router is disconnected"),
     ],
 )
-def test_a_router_that_is_away_is_not_taken_for_its_simulator(router, simulator, line):
+def test_absent_router_is_not_reported_as_absent_simulator(router, simulator, line):
     def watch(name: str, see: Any) -> None:
         see(name, 0, simulator and name == SIMULATOR_NAME)
 
@@ -51,7 +51,7 @@ def test_the_first_law_is_flown_until_another_is_chosen() -> None:
     assert running_law(status("linear", Control(action=Action.LAW, law=OTHER)), FIRST) == OTHER
 
 
-def test_gains_that_nobody_has_told_are_not_known() -> None:
+def test_unreported_gains_are_unknown() -> None:
     assert running_law(status("logarithmic"), None) is None
     assert running_law(status("switching"), FIRST) is None  # chosen without our having seen it
     step = Control(action=Action.STEP)
@@ -66,7 +66,7 @@ def test_a_reset_brings_the_first_law_back() -> None:
     assert running_law(status("logarithmic", *controls), None) is None
 
 
-def test_an_operator_whom_nobody_here_has_put_at_a_wheel_is_a_stranger() -> None:
+def test_driver_not_assigned_by_this_page_is_another_operator() -> None:
     said: list[Control] = []
     wheel = SharedTeleoperation(
         lambda control: said.append(control) is None, lambda _name, _drive: True
@@ -86,7 +86,7 @@ def test_an_operator_whom_nobody_here_has_put_at_a_wheel_is_a_stranger() -> None
     assert wheel.other_operators() == ["ugv_0", "ugv_1"]
 
 
-def test_a_wheel_that_another_operator_has_taken_is_not_handed_back() -> None:
+def test_control_taken_by_another_operator_is_not_handed_back() -> None:
     said: list[Control] = []
     driven: list[Teleoperation] = []
     wheel = SharedTeleoperation(

@@ -66,11 +66,11 @@ def test_a_profile_is_called_by_its_name_whatever_is_planned(name: str) -> None:
         (LinkSettings(bandwidth=2.0), "2 messages/s"),
     ],
 )
-def test_settings_are_said_in_a_few_words(settings: LinkSettings, said: str) -> None:
+def test_settings_are_described_in_a_few_words(settings: LinkSettings, said: str) -> None:
     assert describe(settings) == said
 
 
-def test_a_status_is_told_with_the_words_for_its_links_and_for_its_changes() -> None:
+def test_status_describes_its_links_and_link_changes() -> None:
     settings = LinkSettings(loss=0.1)
     degraded = msgspec.structs.replace(link(), settings=settings)
     changes = (
@@ -96,7 +96,7 @@ def test_links_are_chosen_by_kind_and_vehicle() -> None:
     assert select_links(NAMES, "radio", "ugv_0") == []
 
 
-def test_a_kind_that_gets_the_same_everywhere_is_one_word_and_what_differs_is_one_each() -> None:
+def test_equal_settings_give_one_control_per_kind_of_link() -> None:
     one, other = LinkSettings(loss=0.1), LinkSettings(loss=0.2)
     everywhere = controls_for(dict.fromkeys(NAMES, one), NAMES)
     assert [(said.link, said.vehicle) for said in everywhere] == [(kind, None) for kind in LinkKind]
@@ -106,7 +106,7 @@ def test_a_kind_that_gets_the_same_everywhere_is_one_word_and_what_differs_is_on
     assert (alone.action, alone.link, alone.vehicle) == (Action.LINK, LinkKind.COMMANDS, "ugv_0")
 
 
-def test_a_blackout_is_added_to_what_the_link_does_already_and_old_ones_are_dropped() -> None:
+def test_new_blackout_keeps_settings_and_drops_oldest_blackouts() -> None:
     poor = PROFILES["wifi-poor"]
     dark = with_blackout(poor, 10.0, 3.0)
     assert dark == msgspec.structs.replace(poor, blackouts=((10.0, 3.0),))
@@ -120,7 +120,7 @@ def test_a_blackout_is_added_to_what_the_link_does_already_and_old_ones_are_drop
     check_link(dark, "link")
 
 
-def test_bursts_that_are_asked_for_come_with_a_time_between_them_that_can_be_flown() -> None:
+def test_requested_burst_length_gets_a_valid_interval() -> None:
     bursts = check_link(with_field(PERFECT, "burst_length", 0.5), "link")
     assert bursts.burst_length == 0.5
     assert bursts.burst_interval > 0.0
@@ -138,7 +138,7 @@ def told(history: ChartData, at: float, age: float | None = 0.05) -> tuple[float
     return history.newest[-3:]
 
 
-def test_a_row_tells_the_age_the_share_lost_lately_and_a_blackout() -> None:
+def test_chart_row_has_age_recent_loss_and_blackout() -> None:
     history = ChartData()
     assert told(history, 0.0) == (0.05, None, 0.0)
     history.losses.update(status(0.0, uav_0__detections=link(0), ugv_0__commands=link(0)))
@@ -154,7 +154,7 @@ def test_a_row_tells_the_age_the_share_lost_lately_and_a_blackout() -> None:
     assert told(history, 3.0, None) == (None, 0.0, 0.0)
 
 
-def test_a_new_flight_begins_to_count_anew_and_a_status_that_says_nothing_new_changes_nothing():
+def test_new_flight_resets_loss_and_stale_status_changes_nothing():
     history = ChartData()
     for time, sent in ((0.0, 0), (1.0, 100)):
         history.losses.update(status(time, uav_0__detections=link(sent, blackout=sent)))
@@ -165,7 +165,7 @@ def test_a_new_flight_begins_to_count_anew_and_a_status_that_says_nothing_new_ch
     assert told(history, 2.0)[1:] == (None, 0.0)
 
 
-def test_a_recording_that_is_wound_shows_its_blackout_where_it_was(tmp_path: Path) -> None:
+def test_seeking_a_recording_shows_its_blackout_in_place(tmp_path: Path) -> None:
     changes = ["duration=30.0", "links.detections.blackouts=[[10.0, 5.0]]"]
     recorded(tmp_path / "run.mcap", load_scenario("escort", overrides=changes))
     tape = RecordedRun(flight_of(tmp_path / "run.mcap"), 1.0)
@@ -184,7 +184,7 @@ def test_a_recording_that_is_wound_shows_its_blackout_where_it_was(tmp_path: Pat
 # The wheel
 
 
-def test_full_deflection_asks_for_the_largest_speed_of_the_vehicle_that_is_driven() -> None:
+def test_full_deflection_requests_the_driven_vehicles_max_speed() -> None:
     wheel = SharedTeleoperation(lambda _control: True, lambda _name, _drive: True)
     limits = {
         "ugv_0": Limits(max_speed=0.2, max_acceleration=0.1),

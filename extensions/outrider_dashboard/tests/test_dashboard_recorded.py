@@ -51,7 +51,7 @@ def test_simulated_time_passes_at_the_speed_until_the_end(path: Path) -> None:
     assert hub.status.over
 
 
-def test_a_paused_tape_stands_still_and_steps_by_ticks(path: Path) -> None:
+def test_paused_replay_stands_still_and_steps_by_ticks(path: Path) -> None:
     clock, tape, hub = staged(path)
     shown(hub)
     tape.pause()
@@ -67,7 +67,7 @@ def test_a_paused_tape_stands_still_and_steps_by_ticks(path: Path) -> None:
     assert shown(hub) == pytest.approx(1.35)
 
 
-def test_wound_to_a_time_the_page_shows_what_it_would_have_shown_then(path: Path) -> None:
+def test_seeking_shows_the_same_as_playing_to_that_time(path: Path) -> None:
     clock, _, hub = staged(path)
     shown(hub)
     clock.now += 20.0
@@ -101,7 +101,7 @@ def test_play_at_the_end_begins_again(path: Path) -> None:
     assert shown(hub) == pytest.approx(1.0)
 
 
-def test_the_map_is_the_newest_that_was_there_by_then(path: Path) -> None:
+def test_map_is_the_newest_at_the_replay_time(path: Path) -> None:
     _, tape, _ = staged(path)
     tape.seek(30.52)
     news = list(tape.news())
@@ -111,7 +111,7 @@ def test_the_map_is_the_newest_that_was_there_by_then(path: Path) -> None:
     assert truth.tick - 20 <= ground.tick <= truth.tick
 
 
-def test_nobody_steers_a_recording(path: Path) -> None:
+def test_recording_cannot_be_steered(path: Path) -> None:
     _, tape, hub = staged(path)
     shown(hub)
     assert not tape.control(Control(action=Action.PAUSE))
@@ -139,7 +139,7 @@ def test_a_recording_without_a_status_is_shown_all_the_same(path, monkeypatch) -
     assert hub.status.law == "certified"
 
 
-def test_the_end_of_a_flight_is_told_once_all_browsers_have_been_given_it(path: Path) -> None:
+def test_end_is_reported_once_after_all_browsers_received_it(path: Path) -> None:
     told: list[float] = []
     clock = Clock()
     tape = RecordedRun(flight_of(path), 1.0, clock)

@@ -89,7 +89,7 @@ def serves(page: Page) -> bool:
         return probe.connect_ex(("127.0.0.1", page.port)) == 0
 
 
-def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
+def test_page_opens_with_the_run_shows_all_and_ends_with_it() -> None:
     told = words("run --with dashboard:port=0 --realtime 40 --duration 60 --no-files --json")
     with started(*told) as run:
         page = page_of(run)
@@ -113,7 +113,7 @@ def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
     assert not serves(page)
 
 
-def test_a_run_with_a_page_keeps_the_wall_clock_unless_told_otherwise_and_ctrl_c_ends_all() -> None:
+def test_run_with_page_is_real_time_and_ctrl_c_ends_all() -> None:
     with started("run", "--with", "dashboard:port=0", "--no-files", "--json") as run:
         page = page_of(run)
         with browser(page) as channel:
@@ -132,7 +132,7 @@ def test_a_run_with_a_page_keeps_the_wall_clock_unless_told_otherwise_and_ctrl_c
     assert not serves(page)
 
 
-def test_a_page_that_dies_is_told_once_and_the_run_goes_on_in_lockstep_to_its_end() -> None:
+def test_dead_page_is_reported_once_and_the_run_continues() -> None:
     told = words("run --with dashboard:port=0 --realtime 0 --duration 250 --no-files --json")
     with started(*told) as run:
         page = page_of(run)
@@ -159,7 +159,7 @@ def test_the_page_ends_when_its_run_is_killed() -> None:
     assert not serves(page)
 
 
-def test_a_busy_port_is_refused_before_anything_flies(tmp_path: Path) -> None:
+def test_busy_port_is_refused_before_the_run_starts(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         run = outrider("run", "--with", f"dashboard:port={port}", "--out", str(tmp_path / "flight"))
@@ -177,7 +177,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_recording_is_played_into_the_page_and_nobody_can_steer(recording: Path) -> None:
+def test_page_replays_a_recording_without_controls(recording: Path) -> None:
     told = words("--with dashboard:port=0 --realtime 10")
     with started("replay", str(recording), *told) as replay:
         page = page_of(replay)

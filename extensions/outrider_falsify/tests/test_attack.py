@@ -66,7 +66,7 @@ def flown(conditions: Conditions, eps: float, **numbers: float) -> RecordArray:
 
 
 @pytest.mark.parametrize("name", CONDITIONS)
-def test_where_the_assumptions_hold_nobody_is_lost_and_the_certificate_is_approached(name) -> None:
+def test_valid_assumptions_keep_sight_close_to_the_bound(name) -> None:
     """One that nobody comes near would be worth little."""
     conditions, eps = CONDITIONS[name]
     bounds = declared(conditions, eps)
@@ -93,7 +93,7 @@ LOST = {
 
 
 @pytest.mark.parametrize("name", LOST)
-def test_what_is_wrong_loses_sight(name: str) -> None:
+def test_wrong_parameters_lose_sight(name: str) -> None:
     conditions, eps = LOST[name]
     if conditions.law != GUARDS.paper:
         conditions = conditions._replace(radius=spec_radius(declared(conditions, eps)))
@@ -110,7 +110,7 @@ def test_the_radius_needs_its_term_for_late_commands() -> None:
     assert largest[0] < R_V < R_V + 0.5 < largest[1]
 
 
-def test_errors_larger_than_declared_break_the_bound_and_are_noticed() -> None:
+def test_undeclared_errors_break_the_bound_and_are_detected() -> None:
     conditions = Conditions(error=ERRORS.hides, error_share=2.0)
     assert flown(conditions, 0.3)["max_excess"].max() > 0.25
     conditions = Conditions(error=SPHERE, error_share=2.0)
@@ -136,7 +136,7 @@ DISTURBED = {
 
 
 @pytest.mark.parametrize("name", DISTURBED)
-def test_no_tick_is_certified_while_sight_is_lost_whatever_becomes_of_commands(name: str) -> None:
+def test_attack_on_commands_certifies_no_lost_tick(name: str) -> None:
     rows = flown(DISTURBED[name], 0.3)
     assert not any(rows[name].any() for name in ("certified_lost", "broken"))
     assert rows["max_certified"].max() < R_V
@@ -144,20 +144,20 @@ def test_no_tick_is_certified_while_sight_is_lost_whatever_becomes_of_commands(n
     assert rows["uncertified"].min() < 1.0
 
 
-def test_motions_that_arrive_too_late_lose_sight() -> None:
+def test_trajectories_arriving_too_late_lose_sight() -> None:
     rows = flown(Conditions(disturbance=DISTURBANCES.late), 0.3)
     assert rows["max_distance"].max() > R_V
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0])
-def test_a_uav_that_starts_moving_keeps_its_certificate_once_it_has_one(delay: float) -> None:
+def test_uav_starting_in_motion_keeps_its_certificate(delay: float) -> None:
     rows = flown(Conditions(start_speed=1.0, delay=delay), 0.3)
     assert not any(rows[name].any() for name in ("certified_lost", "broken"))
     assert rows["max_certified"].max() < R_V
     assert rows["uncertified"].max() < 3.0 * (delay + 0.05) / DURATION
 
 
-def test_a_filter_that_certifies_what_it_should_not_is_caught() -> None:
+def test_attack_catches_a_filter_with_too_large_a_radius() -> None:
     """The counters count: a filter that believes in too large a radius."""
     bounds = declared(Conditions(), 0.0)
     assert flown_with(bounds._replace(radius=4.9, handover_radius=4.85))["certified_lost"].sum() > 0
@@ -203,7 +203,7 @@ def test_any_run_can_be_flown_again_alone() -> None:
     assert attack(bounds, conditions, 8, 3, 1, 30.0)[0] != rows[3]
 
 
-def test_the_grid_holds_only_what_has_a_certificate_and_every_place_and_disturbance() -> None:
+def test_grid_is_certifiable_and_has_every_area_and_disturbance() -> None:
     combinations = list(grid())
     assert not any(math.isnan(bounds.handover_radius) for bounds, _ in combinations)
     assert {conditions.area for _, conditions in combinations} == set(AREAS)

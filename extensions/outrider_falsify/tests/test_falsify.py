@@ -70,7 +70,7 @@ def candidates(count: int) -> list[Candidate]:
 # What is found, and what is not
 
 
-def test_the_switching_law_is_broken_undegraded_and_the_find_flies_again_to_the_last_bit(tmp_path):
+def test_switching_law_fails_undegraded_and_refly_is_identical(tmp_path):
     path = tmp_path / "broken.toml"
     result = found("switching", 3, out=path, changes={"duration": 60.0})
     assert result.violations
@@ -83,13 +83,13 @@ def test_the_switching_law_is_broken_undegraded_and_the_find_flies_again_to_the_
 
 
 @pytest.mark.parametrize("law", ["logarithmic", "linear"])
-def test_the_laws_that_keep_it_undegraded_are_not_broken(law: str) -> None:
+def test_laws_that_keep_sight_undegraded_are_not_broken(law: str) -> None:
     result = found(law, 12)
     assert result.violations == result.lost == 0
     assert 2.0 < result.worst < R_V
 
 
-def test_the_logarithmic_law_is_broken_by_blackouts_and_by_late_commands() -> None:
+def test_blackouts_and_late_commands_break_the_logarithmic_law() -> None:
     for limits in (SearchLimits(blackout=5.0), SearchLimits(command_delay=1.0)):
         assert found("logarithmic", 16, limits).worst > R_V + 0.05
 
@@ -113,7 +113,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_a_broken_assumption_is_told_and_is_no_violation(name: str) -> None:
+def test_broken_assumption_is_reported_and_is_no_violation(name: str) -> None:
     limits, declared = BROKEN[name]
     told = beyond_declared(base("certified", limits, **declared), limits)
     assert len(told) == 1
@@ -123,7 +123,7 @@ def test_a_broken_assumption_is_told_and_is_no_violation(name: str) -> None:
     assert result.violations == 0
 
 
-def test_a_promise_counts_from_the_first_certified_tick_and_again_some_time_after_a_gap() -> None:
+def test_guarantee_starts_certified_and_resumes_after_a_gap() -> None:
     word = np.array([False, True, True, False, True, True, True, True], dtype=np.bool_)
     assert guaranteed(word, 2).tolist() == [
         False,
@@ -139,7 +139,7 @@ def test_a_promise_counts_from_the_first_certified_tick_and_again_some_time_afte
     assert not guaranteed(np.zeros(3, dtype=np.bool_), 0).any()
 
 
-def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a_gap(monkeypatch):
+def test_certified_tick_out_of_sight_after_a_gap_is_a_violation(monkeypatch):
     """The UAV flies off, and claims now and then, too short for a guarantee, that sight is kept."""
 
     def fly_off(scenario, seed, *, on_tick):
@@ -216,7 +216,7 @@ def test_a_candidate_flies_again_from_its_saved_scenario(kind: str, tmp_path: Pa
     assert fly(load_scenario(path), candidate.seed)[0].recorder.sha256() == flight.recorder.sha256()
 
 
-def test_what_the_limits_need_is_declared_and_what_is_declared_is_kept() -> None:
+def test_base_declares_needed_bounds_and_keeps_declared_ones() -> None:
     start = base("certified", DEGRADED)
     assert start.certificate.max_measurement_age == needed_age(DEGRADED, start) > 6.0
     assert start.certificate.max_measurement_error == pytest.approx(0.3)
@@ -229,7 +229,7 @@ def test_what_the_limits_need_is_declared_and_what_is_declared_is_kept() -> None
     )
 
 
-def test_hold_is_raised_where_commands_may_come_later() -> None:
+def test_command_timeout_is_raised_for_late_commands() -> None:
     late = SearchLimits(command_delay=1.01)
     start = base("linear", late)
     assert start.command_timeout == pytest.approx(1.05)
@@ -251,7 +251,7 @@ def test_the_search_is_the_same_for_any_number_of_workers() -> None:
     assert other.flights.elite != one.flights.elite
 
 
-def test_cma_goes_on_from_the_best_and_leaves_numpys_own_random_numbers_alone() -> None:
+def test_cma_continues_from_the_best_and_keeps_numpys_rng_state() -> None:
     np.random.seed(5)  # noqa: NPY002
     expected = np.random.RandomState(5).random(3)
     result = found("linear", 100, changes={"duration": 6.0})
@@ -274,7 +274,7 @@ def test_the_budget_is_kept() -> None:
     assert result.runs > 0
 
 
-def test_a_worker_that_dies_is_told_in_one_line() -> None:
+def test_dead_worker_is_reported_in_one_line() -> None:
     with Workers(2, int) as workers, pytest.raises(PeerLost, match="a worker process died"):
         list(workers.stream(os._exit, [(3,)], lambda: False))
 
@@ -300,7 +300,7 @@ def test_the_attack_finds_nothing_within_the_assumptions() -> None:
 
 
 @pytest.mark.parametrize("control", ["tracking", "paper-radius", "switching"])
-def test_a_guard_that_is_wrong_is_caught_and_its_run_flies_again(control: str) -> None:
+def test_wrong_safety_filter_is_caught_and_its_run_reflies(control: str) -> None:
     tally = attacked(control, 100, first=True, duration=120.0)
     assert tally.violations
     assert tally.worst is not None
@@ -319,7 +319,7 @@ def test_the_best_detection_is_caught_where_there_are_blackouts() -> None:
     ).violations
 
 
-def test_a_combination_with_uncertified_ticks_has_lost_nothing_that_was_promised() -> None:
+def test_combination_with_uncertified_ticks_has_no_violation() -> None:
     conditions = Conditions(blackout=1, blackout_time=12.0)
     bounds = declared(conditions._replace(blackout_time=2.0), 0.3)
     result = attacks.fly_attack(bounds, conditions, 1, 0, 20, 100.0)
@@ -330,7 +330,7 @@ def test_a_combination_with_uncertified_ticks_has_lost_nothing_that_was_promised
 # The command line
 
 
-def test_the_command_saves_and_tells_and_its_exit_code_says_what_was_expected(here, command):
+def test_command_saves_the_find_and_reports_it_by_exit_code(here, command):
     quick = words("--limit none --duration 25 --jobs 1 --runs 3 --json --expect none")
     run = command("falsify", "--law", "switching", *quick)
     assert run.returncode == 1

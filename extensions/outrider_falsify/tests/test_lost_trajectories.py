@@ -14,7 +14,7 @@ COMBINATIONS = [
 
 
 @pytest.mark.parametrize(("outage", "delay", "kind"), COMBINATIONS)
-def test_no_certified_run_loses_sight_whatever_motions_are_lost(outage, delay, kind) -> None:
+def test_no_certified_run_loses_sight_by_lost_trajectories(outage, delay, kind) -> None:
     dark = {"blackout": 3, "blackout_time": 4.0, "u_g": math.inf, "jitter": delay > 0.0}
     conditions = Conditions(max_command_interval=outage, delay=delay, losses=kind, **dark)
     rows = attack(declared(conditions, 0.3), conditions, 5, 0, 4, 100.0)
@@ -23,7 +23,7 @@ def test_no_certified_run_loses_sight_whatever_motions_are_lost(outage, delay, k
     assert rows["uncertified"].max() == 0.0
 
 
-def test_the_hand_over_knows_where_the_motion_that_is_flown_ends_not_one_that_was_lost() -> None:
+def test_handover_uses_the_flown_trajectory_not_a_lost_one() -> None:
     conditions = Conditions(
         blackout=3,
         blackout_time=5.0,
@@ -37,7 +37,7 @@ def test_the_hand_over_knows_where_the_motion_that_is_flown_ends_not_one_that_wa
     assert not found["broken"].any()
 
 
-def test_longer_outages_than_declared_lose_sight_and_are_told() -> None:
+def test_undeclared_command_gaps_lose_sight_and_are_reported() -> None:
     conditions = Conditions(
         max_command_interval=8.0, inner=0, ugv=0, losses=LOSSES.whenever_it_may, u_g=math.inf
     )
@@ -48,7 +48,7 @@ def test_longer_outages_than_declared_lose_sight_and_are_told() -> None:
     assert rows["certified_lost"].sum() == rows["broken"].sum() == 0
 
 
-def test_motions_that_were_checked_for_less_than_the_outage_are_caught_by_the_attack() -> None:
+def test_attack_catches_trajectories_checked_for_too_short_a_gap() -> None:
     """The numbers of a short outage with the claim of a long one: what the certificate would be without its wait."""
     conditions = Conditions(
         max_command_interval=8.0, losses=LOSSES.whenever_it_may, inner=0, ugv=0, u_g=math.inf
@@ -65,7 +65,7 @@ def test_motions_that_were_checked_for_less_than_the_outage_are_caught_by_the_at
     assert rows["broken"].sum() > 0
 
 
-def test_outages_that_are_yet_to_come_break_no_certificate() -> None:
+def test_command_gaps_yet_to_come_break_no_certificate() -> None:
     """The adversary drops a plan when the committed one is so old that the next chain arrives too late."""
     conditions = Conditions(
         max_command_interval=0.65,

@@ -108,7 +108,7 @@ def states_of(told: Mapping[str, FloatArray], names: tuple[str, ...]) -> FloatAr
     return np.concatenate((before[:-1], after[1:]), axis=-1)
 
 
-def test_the_worlds_unit_tells_the_runs_own_bits(units: Path) -> None:
+def test_world_unit_outputs_the_bits_of_the_run(units: Path) -> None:
     flown = load_scenario("escort", overrides=SHORT)
     flight, summary = fly(flown, flown.seed)
     told = fmpy.simulate_fmu(str(units / "world.fmu"), stop_time=flown.duration, output_interval=DT)
@@ -121,7 +121,7 @@ def test_the_worlds_unit_tells_the_runs_own_bits(units: Path) -> None:
     assert not told["uav_0.lost"].any()
 
 
-def test_the_worlds_unit_tells_of_sight_that_is_lost_and_flies_degraded_links() -> None:
+def test_world_unit_reports_lost_sight_over_degraded_links() -> None:
     changes = [
         "duration=30.0",
         "law.name=tracking",
@@ -254,7 +254,7 @@ def test_a_driver_that_hears_the_uav_drives_as_a_unit(tmp_path: Path) -> None:
     assert fly(own, own.seed)[1].trajectory_sha256 == fly(theirs, own.seed)[1].trajectory_sha256
 
 
-def test_somebody_elses_unit_drives_and_its_crash_is_one_line(units: Path) -> None:
+def test_foreign_unit_drives_and_its_crash_is_one_line(units: Path) -> None:
     driver = f"ugv.0.driver=fmu:{units / 'Wheel.fmu'}"
     flown = load_scenario("escort", overrides=[*SHORT, "duration=0.1", driver])
     flight, _ = fly(flown, 0)
@@ -296,14 +296,14 @@ def test_a_unit_that_cannot_drive_is_refused_in_one_line(units, tmp_path, unit, 
         FmuPolicy(str(file), "here")
 
 
-def test_a_unit_that_is_none_or_not_there_is_told_in_one_line(tmp_path: Path) -> None:
+def test_invalid_or_missing_unit_is_reported_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "text.fmu").write_text("hello")
     for name, line in (("text.fmu", "not an FMU"), ("none.fmu", "no such file"), ("", "no such")):
         with pytest.raises(ScenarioError, match=f"^here: {line}"):
             FmuPolicy(str(tmp_path / name), "here")
 
 
-def test_one_unit_drives_a_run_and_a_files_own_is_not_loaded_unasked(units: Path) -> None:
+def test_one_unit_drives_a_run_and_loads_only_on_request(units: Path) -> None:
     named = f"fmu:{units / 'ugv.fmu'}"
     flown = load_scenario("escort", overrides={"ugv.0.driver": named})
     assert foreign_code(flown) == foreign_code(flown, ["seed=3"]) != ()
@@ -328,7 +328,7 @@ def test_a_step_that_is_no_tick_is_refused(time: float, size: float, line: str) 
         unit.step(time, size, {})
 
 
-def test_no_unit_steps_beyond_its_flight_or_takes_a_number_that_is_none() -> None:
+def test_unit_refuses_steps_after_the_end_and_invalid_numbers() -> None:
     unit = WorldUnit(load_scenario("escort", overrides=["duration=0.1"]), 0)
     for tick in range(2):
         unit.step(tick * DT, DT, {})
@@ -371,7 +371,7 @@ HAZARD = 'hazard=[{kind="block",center=[30,30],radius=0.2}]'
         ("uav", ["name=elsewhere", "uav=[]"], "elsewhere: has no uav to export"),
     ],
 )
-def test_what_a_unit_cannot_be_is_refused_before_it_is_made(tmp_path, what, changes, line):
+def test_impossible_unit_is_refused_before_it_is_built(tmp_path, what, changes, line):
     flown: Scenario = load_scenario("escort", overrides=changes)
     export = export_world if what == "world" else partial(export_vehicle, role=Role(what))
     with pytest.raises(ScenarioError, match=f"^{line}"):
@@ -407,7 +407,7 @@ def test_the_group_without_a_command_prints_its_help(command) -> None:
     assert "Commands:" in made.stderr.splitlines()
 
 
-def test_every_variable_of_a_unit_is_told_with_its_unit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_variable_is_documented_with_its_unit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(Path(__file__).parents[3] / "docs" / "generators")
     generator = importlib.import_module("fmi_variables")
     text = generator.pilots() + generator.world() + generator.driver()

@@ -79,7 +79,7 @@ def test_it_flies_a_single_environment_as_it_flies_a_batch() -> None:
     assert env.unwrapped.metrics()["uav_0"]["distance"] == worlds.metrics()["uav_0"]["distance"][k]
 
 
-def test_one_world_on_ground_with_hazards_the_ugvs_are_told_by_radio_as_in_the_batch() -> None:
+def test_ugv_receives_tiles_by_radio_in_one_world_as_in_a_batch() -> None:
     wall = Hazard(kind="block", center=(9.0, 11.0), radius=0.5)
     grounded, policy = msgspec.structs.replace(NOISY, hazard=(wall,)), LearnedPolicy.load(POLICY)
     worlds = Worlds(grounded, 1, ["uav_0", "ugv_0"], **policy.setup)
@@ -124,7 +124,7 @@ def test_it_sees_what_it_was_trained_on() -> None:
         assert np.array_equal(paid, total)
 
 
-def test_it_begins_anew_with_each_episode_of_each_world() -> None:
+def test_it_restarts_with_each_episode_of_each_world() -> None:
     policy, other = LearnedPolicy.load(POLICY), LearnedPolicy.load(POLICY)
     env = outrider.vector_env(NOISY, num_envs=2, duration=20.0, **policy.setup)
     seen, _ = env.reset(seed=[3, 4])
@@ -140,7 +140,7 @@ def test_it_begins_anew_with_each_episode_of_each_world() -> None:
         first, *_ = again.step(action)
 
 
-def test_asked_for_the_first_time_amid_an_episode_it_answers_at_once() -> None:
+def test_first_call_within_an_episode_returns_actions_at_once() -> None:
     policy = LearnedPolicy.load(POLICY)
     env = outrider.vector_env(NOISY, num_envs=2, **policy.setup)
     env.reset(seed=3)
@@ -159,7 +159,7 @@ def test_it_sees_more_than_the_circle_and_keeps_sight(evaluation: ModuleType) ->
         assert (learned["ticks"] == circle["ticks"]).all()
 
 
-def test_the_table_is_the_same_twice_and_says_what_is_not_filtered(evaluation: ModuleType) -> None:
+def test_table_is_reproducible_and_marks_unfiltered_pilots(evaluation: ModuleType) -> None:
     results = evaluation.evaluate(POLICY, flights=2, cases=["covered"], duration=10.0)
     assert results == evaluation.evaluate(POLICY, flights=2, cases=["covered"], duration=10.0)
     assert [result.pilot for result in results][: len(evaluation.BASELINES)] == list(
@@ -276,7 +276,7 @@ def test_a_policy_asks_for_the_observations_that_it_needs(evaluation: ModuleType
         evaluation.evaluate(POLICY, flights=1, cases=["moon"])
 
 
-def test_a_world_is_answered_with_the_same_bits_alone_and_in_a_batch() -> None:
+def test_network_output_has_the_same_bits_alone_and_in_a_batch() -> None:
     rng = np.random.default_rng(0)
     network = Mlp(
         (rng.normal(size=(64, 86)), rng.normal(size=(64, 64)), rng.normal(size=(2, 64))),
@@ -294,7 +294,7 @@ def test_a_world_is_answered_with_the_same_bits_alone_and_in_a_batch() -> None:
 
 
 @pytest.mark.parametrize("duration", [1.0, 0.5])
-def test_a_repeated_action_is_so_many_ticks_and_the_sum_of_their_rewards(duration: float) -> None:
+def test_action_repeat_sums_the_rewards_of_its_ticks(duration: float) -> None:
     """Five steps of four ticks, and ten ticks, which end amid the third step: the next episode rests until its end."""
     plain, repeated = (
         outrider.vector_env("escort", num_envs=2, duration=duration) for _ in range(2)

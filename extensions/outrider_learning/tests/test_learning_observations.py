@@ -80,7 +80,7 @@ def uav_space(**settings: Any) -> Any:
 
 @pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
 @pytest.mark.parametrize("patch", [None, PATCH], ids=["row", "pictures"])
-def test_each_world_is_as_it_is_alone_across_the_ends_of_episodes(mode: str, patch: Any) -> None:
+def test_each_world_matches_a_single_one_across_episode_ends(mode: str, patch: Any) -> None:
     env = in_both(worlds(mode, patch))
     alone = [in_both(worlds("Disabled", patch, [ticks])) for ticks in TICKS]
     assert env.single_observation_space == alone[0].single_observation_space
@@ -109,7 +109,7 @@ def test_each_world_is_as_it_is_alone_across_the_ends_of_episodes(mode: str, pat
     assert finals == (sum(16 // ticks for ticks in TICKS) if mode == "SameStep" else 0)
 
 
-def test_worlds_that_are_reset_by_hand_begin_and_the_others_do_not() -> None:
+def test_only_worlds_in_the_reset_mask_restart() -> None:
     env = in_both(worlds("Disabled"))
     first, _ = env.reset(seed=0)
     for _ in range(4):
@@ -121,7 +121,7 @@ def test_worlds_that_are_reset_by_hand_begin_and_the_others_do_not() -> None:
     assert not equal(before[1], first[1])
 
 
-def test_what_is_done_to_a_returned_observation_changes_nothing_later() -> None:
+def test_changing_a_returned_observation_has_no_effect() -> None:
     touched, twin = (in_both(worlds("SameStep", PATCH)) for _ in range(2))
     (one, _), (other, _) = touched.reset(seed=1), twin.reset(seed=1)
     for _ in range(8):
@@ -180,7 +180,7 @@ def test_a_uavs_row_in_its_frame_says_the_same_as_in_the_worlds() -> None:
         raw, seen = plain.step(world)[0], env.step(body)[0]
 
 
-def test_the_goal_is_seen_from_the_ugv_and_is_gone_with_the_last_one() -> None:
+def test_goal_is_relative_to_the_ugv_and_zero_after_the_last() -> None:
     near = Ugv(position=(10.0, 10.0), velocity=(0.0, 0.1), goals=((10.1, 10.3), (10.0, 10.4)))
     scenario = msgspec.structs.replace(ONE, ugv=(near,))
     settings = {"num_envs": 1, "agent": "ugv_0", "end_on_sight_lost": False}
@@ -195,7 +195,7 @@ def test_the_goal_is_seen_from_the_ugv_and_is_gone_with_the_last_one() -> None:
     np.testing.assert_array_equal(one.begin(arrived, ALL)[0, -3:], 0.0)
 
 
-def test_the_heading_stays_while_the_vehicle_rests_and_begins_east() -> None:
+def test_heading_starts_east_and_is_kept_at_rest() -> None:
     one = bound(Egocentric(rest=0.1), uav_space())
 
     def row(vx: float, vy: float) -> Any:

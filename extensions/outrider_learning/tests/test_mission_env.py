@@ -54,7 +54,7 @@ def grounded(*, duration: float = 12.0, driver: str = "navigate") -> Scenario:
     return msgspec.structs.replace(plain, hazard=(WALL, MUD), ugv=(ugv,), duration=duration, seed=5)
 
 
-def test_a_world_of_the_vector_environment_is_the_parallel_one_bit_for_bit() -> None:
+def test_vector_world_has_the_bits_of_the_parallel_environment() -> None:
     """Tiles, rewards and the end's infos, with the UGV driven straight at the wall by hand."""
     env = outrider.parallel_env(grounded(), rewards=PAID)
     worlds = outrider.parallel_vector_env(grounded(), num_envs=2, rewards=PAID)
@@ -93,7 +93,7 @@ def test_a_world_of_the_vector_environment_is_the_parallel_one_bit_for_bit() -> 
     worlds.close()
 
 
-def test_a_ugv_observes_the_tiles_around_its_own_as_it_knows_them() -> None:
+def test_ugv_observes_the_surrounding_tiles_that_it_knows() -> None:
     env = outrider.parallel_env(grounded(), tile_patch=31)
     silent = msgspec.structs.replace(
         grounded(), ground=msgspec.structs.replace(grounded().ground, map_update_rate=0.0)
@@ -153,7 +153,7 @@ class Tiny:
         return (-0.1, 0.0) if BLOCK in ahead.tolist() else (0.05, 0.02)
 
 
-def test_a_policy_sees_over_the_bus_the_tiles_that_it_saw_in_the_environment() -> None:
+def test_policy_sees_the_same_tiles_over_the_bus() -> None:
     scenario = grounded(duration=6.0)
     env = outrider.parallel_env(scenario)
     there, here, law = Tiny(env), Tiny(env), pilots(env)["uav_0"]
@@ -173,7 +173,7 @@ def test_a_policy_sees_over_the_bus_the_tiles_that_it_saw_in_the_environment() -
     assert any((one["tiles"] == BLOCK).any() for one in here.seen)
 
 
-def test_the_example_of_a_navigation_policy_drives_on_known_ground_towards_its_goal() -> None:
+def test_navigation_example_approaches_its_goal_on_known_ground() -> None:
     example = run_path(str(ROOT / "examples" / "navigate_by_tiles.py"))
     policy = example["policy"]
     env = outrider.parallel_env(msgspec.structs.replace(load_scenario("minefield"), duration=30.0))
@@ -261,7 +261,7 @@ class Left(Task):
         )
 
 
-def test_a_mission_goes_on_out_of_sight_and_what_comes_after_its_end_does_not_count() -> None:
+def test_mission_continues_out_of_sight_and_ends_the_count() -> None:
     turn = iter(range(10**9))
 
     def away(seen: np.ndarray) -> np.ndarray:
@@ -277,7 +277,7 @@ def test_a_mission_goes_on_out_of_sight_and_what_comes_after_its_end_does_not_co
     assert result.scores[0] > result.scores[1] > 0.0
 
 
-def test_a_map_that_was_asked_for_is_ones_own() -> None:
+def test_requested_map_is_a_copy() -> None:
     env = outrider.parallel_env(grounded())
     env.reset(seed=1)
     known = env.known_tiles("ugv_0")

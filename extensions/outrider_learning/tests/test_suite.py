@@ -45,7 +45,7 @@ def away(seen: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)
-def test_each_task_can_be_flown_by_every_law_that_is_on_the_board(task: Task) -> None:
+def test_every_ranked_law_can_fly_each_task(task: Task) -> None:
     scenario = task.scenario
     assert not scenario_warnings(scenario)
     assert scenario.name == task.name
@@ -71,7 +71,7 @@ def test_there_are_a_dozen_tasks_and_each_has_a_name_of_its_own() -> None:
         suite()["nosie"]
 
 
-def test_the_seeds_are_twenty_and_no_training_run_begins_with_them() -> None:
+def test_twenty_seeds_differ_from_all_training_seeds() -> None:
     assert len(set(SEEDS)) == 20
     firsts = {task.scenario.seed for task in TASKS}
     assert all(abs(seed - first) > 4096 for seed in SEEDS for first in firsts)
@@ -104,7 +104,7 @@ def test_the_mean_error_is_that_of_single_runs() -> None:
     assert result.mean_error == pytest.approx(np.mean(alone))
 
 
-def test_a_law_and_the_same_flight_from_outside_have_the_same_score() -> None:
+def test_external_actions_of_a_law_get_the_score_of_the_law() -> None:
     """The commands of the law, recorded and given as actions, fly the same bits and score the same."""
     said: list[tuple[float, float]] = []
 
@@ -122,7 +122,7 @@ def test_a_law_and_the_same_flight_from_outside_have_the_same_score() -> None:
     assert outside.scores == TASK.evaluate("certified", seeds=[9003], secret=SECRET).scores
 
 
-def test_from_the_tick_at_which_sight_is_lost_nothing_counts_as_seen() -> None:
+def test_nothing_counts_as_seen_after_sight_is_lost() -> None:
     twins = {"seeds": [9000, 9001]}
     lost, kept = (SLOW.evaluate(entry, **twins, secret=SECRET) for entry in (away, "tracking"))
     assert (lost.lost, kept.lost) == (2, 0)
@@ -150,7 +150,7 @@ def test_sight_that_is_found_again_stays_lost() -> None:
     assert scores(turns_back=True) == scores(turns_back=False)
 
 
-def test_what_is_certified_out_of_sight_is_told_with_the_score(monkeypatch):
+def test_score_reports_certified_ticks_out_of_sight(monkeypatch):
     class Near(ClosedLoop):
         """Sight ends at two metres, and the filter was told another r_v."""
 
@@ -170,7 +170,7 @@ def test_what_is_certified_out_of_sight_is_told_with_the_score(monkeypatch):
     assert told == {"certified": 2, "linear": 0}
 
 
-def test_a_certificate_that_ends_for_no_reason_is_told_with_the_score(monkeypatch):
+def test_score_reports_a_certificate_ended_without_reason(monkeypatch):
     class Impatient(ClosedLoop):
         """The filter takes for too old what is not as old as was declared."""
 
@@ -186,7 +186,7 @@ def test_a_certificate_that_ends_for_no_reason_is_told_with_the_score(monkeypatc
         assert standing.results[0].certificate_broken == told[standing.entry]
 
 
-def test_nothing_that_the_suite_flies_on_bad_links_is_certified_falsely() -> None:
+def test_suite_on_bad_links_has_no_false_certificate() -> None:
     for name in ("late-looks", "dropouts", "bursts", "late-commands", "all-at-once"):
         task = Task(name=name, hard="", changes={**suite()[name].changes, "duration": 80.0})
         result = task.evaluate("certified", seeds=SEEDS[:3])
@@ -199,7 +199,7 @@ def test_who_sees_more_scores_more() -> None:
     assert scores[0].score < scores[1].score
 
 
-def test_a_policy_with_a_memory_has_one_for_each_uav_and_begins_anew() -> None:
+def test_policy_memory_is_per_uav_and_starts_empty() -> None:
     class Counting:
         def __init__(self) -> None:
             self.times: list[float] = []
@@ -218,7 +218,7 @@ def test_a_policy_with_a_memory_has_one_for_each_uav_and_begins_anew() -> None:
     assert first.entry == "Counting"
 
 
-def test_nobody_knows_what_noise_an_evaluation_has_before_it_is_over() -> None:
+def test_noise_of_an_evaluation_is_secret_until_its_end() -> None:
     first, again = (TASK.evaluate("tracking", seeds=[1, 2]) for _ in range(2))
     assert len({first.secret, again.secret, ""}) == 3
     assert first.scores != again.scores
@@ -310,7 +310,7 @@ def test_bad_seeds_are_refused(seeds: Any, message: str) -> None:
             TASK.evaluate(entry, seeds=seeds)
 
 
-def test_a_board_of_nobody_is_refused() -> None:
+def test_leaderboard_without_entries_is_refused() -> None:
     with pytest.raises(ValueError, match="0 entries and 1 tasks"):
         leaderboard({}, tasks=[TASK])
     with pytest.raises(ValueError, match="2 entries and 0 tasks"):
@@ -328,7 +328,7 @@ def test_a_scenario_of_ones_own_is_scored_alike() -> None:
 
 
 @pytest.mark.parametrize("base", ["escort", "minefield"])
-def test_what_an_entry_observes_in_one_task_tells_nothing_of_the_noise_in_another(
+def test_noise_of_one_task_reveals_nothing_about_another(
     base: str,
 ) -> None:
     """Everybody moves alike in both, so that what differs of a detection is noise."""
@@ -357,7 +357,7 @@ def test_what_an_entry_observes_in_one_task_tells_nothing_of_the_noise_in_anothe
     assert derive_secret("", "one") == ""
 
 
-def test_two_tasks_of_one_name_and_an_entry_that_is_none_are_refused() -> None:
+def test_duplicate_tasks_and_invalid_entries_are_refused() -> None:
     with refused(ValueError, "short, slow, short: duplicate name"):
         leaderboard({"mine": hover}, tasks=[TASK, SLOW, TASK])
     with refused(ValueError, "entry = None; allowed: a law by name, a policy or a team"):
@@ -384,7 +384,7 @@ def test_the_command_scores_laws_and_policies(here, command, monkeypatch) -> Non
     assert all(standing[count] == 0 for standing in told["standings"] for count in CERTIFICATES)
 
 
-def test_the_command_tells_what_the_tasks_are(command) -> None:
+def test_command_lists_the_tasks(command) -> None:
     told = json.loads(command("suite", "--list", "--json").stdout)["tasks"]
     assert [task["name"] for task in told] == list(suite().names)
     assert told[0]["env_id"] == "outrider/Suite-Paper-v0"

@@ -114,7 +114,7 @@ def test_before_a_detection_the_age_is_the_training_s_episode() -> None:
 
 
 @pytest.mark.parametrize("law", ["certified", "policy"])
-def test_the_shipped_policy_flies_a_run_as_it_flies_the_environment(law: str) -> None:
+def test_shipped_policy_flies_a_run_like_the_environment(law: str) -> None:
     flight, summary = fly(with_policy(ESCORT, law), 4)
     policy = LearnedPolicy.load(SHIPPED)
     settings = {"safety_filter": law == "certified", "end_on_sight_lost": False}
@@ -130,7 +130,7 @@ def test_the_shipped_policy_flies_a_run_as_it_flies_the_environment(law: str) ->
     assert (summary.certified_share is None) == (law == "policy")
 
 
-def test_inside_the_filter_sight_is_kept_whatever_the_policy_wants(
+def test_safety_filter_keeps_sight_around_any_policy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "flees.py").write_text("def act(seen):\n    return [[0.3, 0.0]] * len(seen)\n")
@@ -236,7 +236,7 @@ def test_a_saved_policy_acts_as_in_its_training(name: str, patch: Any) -> None:
             )
 
 
-def test_a_saved_policy_flies_a_run_and_says_where_its_ground_ends() -> None:
+def test_saved_policy_flies_a_run_and_reports_too_large_an_area() -> None:
     env = outrider.vector_env("escort", num_envs=1, end_on_sight_lost=False)
     env = Transformed(env, Stack(2))
     policy = SavedPolicy(Linear(env.single_observation_space), observation_recipe(env))

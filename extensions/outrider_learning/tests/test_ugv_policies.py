@@ -167,7 +167,7 @@ def _seen(
 @pytest.mark.parametrize(
     "name", ["sb3:ppo:model.zip", "sb3:PPO:model.zip", "torch:model.pt", "onnx:model.onnx"]
 )
-def test_a_saved_policy_flies_the_same_bits_as_in_the_environment(here: Path, name: str) -> None:
+def test_saved_policy_flies_the_bits_of_the_environment(here: Path, name: str) -> None:
     scenario = _scenario(name)
     flight, _ = fly(scenario, 3)
     model, env = load_policy(name), outrider.parallel_env(_scenario(), end_on_sight_lost=False)
@@ -223,7 +223,7 @@ def refusal(name: str) -> str:
         ("onnx:m.zip", "onnxruntime"),
     ],
 )
-def test_a_missing_library_is_named_with_the_command_that_installs_it(
+def test_missing_library_is_named_with_its_install_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, package: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -248,7 +248,7 @@ model.zip model.pt folder/model.onnx sb3:model.zip | sb3:ALGORITHM:FILE.zip
 sb3:ddq:model.zip | unknown algorithm 'ddq'; installed: ppo
 """),
 )
-def test_a_name_lacks_its_file_its_library_or_its_algorithm_in_one_line(here, names, said):
+def test_missing_file_library_or_algorithm_is_one_line(here, names, said):
     assert all(said in refusal(name) for name in words(names))
 
 
@@ -273,7 +273,7 @@ def test_a_policy_of_another_agent_is_refused_before_it_flies(here, name, change
 
 
 @pytest.mark.parametrize("pictures", [{}, {"tiles": [21, 21]}], ids=str)
-def test_a_saved_policy_of_normalized_rows_is_refused_when_it_is_loaded(
+def test_saved_policy_with_normalized_rows_is_refused_on_load(
     here: Path, pictures: dict[str, Any]
 ) -> None:
     for low in (LOW, [-math.inf] * 8):

@@ -198,7 +198,7 @@ def second_station(run):
     return run.station
 
 
-def test_both_vehicles_are_told_as_they_truly_are(run):
+def test_both_vehicles_are_reported_with_their_true_state(run):
     run.gateway.take(truth())
     run.gateway._timers = RunGateway(
         run.client, run.gateway.network, status(), first=1, height=10.0
@@ -237,7 +237,7 @@ def test_the_ugv_alone_can_be_followed(run):
     assert followed.acc == pytest.approx([0.05, 0.0, 0.0])
 
 
-def test_what_is_lost_or_not_certified_is_said_and_so_is_its_end(run, monkeypatch):
+def test_lost_sight_and_missing_certificate_are_reported(run, monkeypatch):
     gone = PRESENT | {"uav_0": VehicleStatus(present=False)}
     why = NotCertified.MEASUREMENT_TOO_OLD
     run.gateway.take(status(vehicles=gone, certified={"uav_0": False}, uncertified={"uav_0": why}))
@@ -301,7 +301,7 @@ def set_parameter(name, value):
     return mavlink.MAVLink_param_set_message(UAV, 1, name.encode(), value, 9)
 
 
-def test_an_operator_pauses_hastens_and_changes_the_law_by_parameters(run):
+def test_operator_sets_pause_speed_and_law_by_parameters(run):
     (answer,) = of(run.station.send(set_parameter("PAUSED", 1.0)), "PARAM_VALUE")
     assert answer.param_value == 1.0
     run.station.send(set_parameter("RT_FACTOR", 2.0))
@@ -321,7 +321,7 @@ def test_an_operator_pauses_hastens_and_changes_the_law_by_parameters(run):
         ("NOTHING", 9.0, NOT_SUPPORTED),
     ],
 )
-def test_a_parameter_that_cannot_be_set_is_refused_and_told_as_it_is(run, name, value, cause):
+def test_invalid_parameter_is_refused_and_reported_unchanged(run, name, value, cause):
     answer = run.station.send(set_parameter(name, value))
     assert run.gateway.refusals.counts == {cause: 1}
     assert run.client.said == []
@@ -336,7 +336,7 @@ def sticks(north, east, target=UGV):
     return mavlink.MAVLink_manual_control_message(target, north, east, 0, 0, 0)
 
 
-def test_the_sticks_drive_a_ugv_north_and_east_and_the_first_touch_takes_the_wheel(run):
+def test_sticks_drive_the_ugv_and_first_deflection_takes_control(run):
     run.station.send(sticks(0, 0))
     assert (run.client.said, run.client.driven) == ([], [])  # it is only there
     run.station.send(sticks(500, 0))
@@ -352,7 +352,7 @@ def test_the_sticks_drive_a_ugv_north_and_east_and_the_first_touch_takes_the_whe
     assert run.client.said[-2].driver == "waypoints"  # whose wheel it was
 
 
-def test_a_second_ground_station_is_refused_until_the_first_falls_silent(run, monkeypatch):
+def test_second_ground_station_waits_until_the_first_is_silent(run, monkeypatch):
     run.station.send(sticks(500, 0))
     first = list(run.client.driven)
     second = second_station(run)
@@ -490,7 +490,7 @@ def test_an_address_that_is_none_is_named(text):
         parse_address(text, listens=False)
 
 
-def test_who_is_not_the_party_that_is_told_is_not_read(run):
+def test_messages_of_another_sender_are_not_read(run):
     """A socket that sends to one ground station is reached by every process of the host, and of the network."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.sendto(sticks(500, 0).pack(run.station.mav), run.station.to)
@@ -501,7 +501,7 @@ def test_who_is_not_the_party_that_is_told_is_not_read(run):
     assert run.client.driven
 
 
-def test_the_first_line_says_to_whom_telemetry_goes(command):
+def test_first_line_names_the_telemetry_target(command):
     def first_line(*options):
         refused = command("mavlink", *options, "--credentials", "nowhere.json")
         assert refused.returncode == 2

@@ -116,7 +116,7 @@ def same_bits(flight, plain):
     return flight.recorder.states.tobytes() == plain.recorder.states.tobytes()
 
 
-def test_an_autopilot_that_holds_what_it_is_told_changes_no_bit(along, plain):
+def test_autopilot_that_tracks_its_setpoints_changes_no_bit(along, plain):
     flight = along.fly()
     assert same_bits(flight, plain)
     assert along.pilot.held_ticks == 0
@@ -138,7 +138,7 @@ def test_setpoints_are_the_track_from_where_the_autopilot_hovers(along, plain):
     assert (last.target_system, last.type_mask) == (42, 0b110_000_000_000)
 
 
-def test_one_that_stays_behind_is_waited_for_and_nothing_is_certified_meanwhile(along, caplog):
+def test_run_waits_uncertified_for_a_lagging_autopilot(along, caplog):
     with caplog.at_level(logging.WARNING):
         flight = along.fly(moves=lambda tick: not 40 <= tick < 200)
     assert (
@@ -154,7 +154,7 @@ def test_one_that_stays_behind_is_waited_for_and_nothing_is_certified_meanwhile(
     assert flight.answers.assurance.certificate_broken == 0
 
 
-def test_one_that_is_silent_or_not_armed_is_waited_for(along, monkeypatch):
+def test_run_waits_for_a_silent_or_unarmed_autopilot(along, monkeypatch):
     along.fly()
     where = along.pilot._link.reference.position
     assert along.link.deviation(where) < 0.1
@@ -201,7 +201,7 @@ def believed(along, **changes):
     return along.link.reports > before
 
 
-def test_an_autopilot_that_restarts_is_believed_again(along, monkeypatch):
+def test_restarted_autopilot_is_accepted_again(along, monkeypatch):
     along.fly()
     assert believed(along)
     late = along.autopilot.report(time_boot_ms=7)
@@ -259,7 +259,7 @@ def test_a_run_that_declares_no_deviation_is_refused():
         pilot.make(told)
 
 
-def test_the_past_that_a_process_is_told_when_it_joins_again_is_not_told_to_the_autopilot(along):
+def test_past_replayed_on_rejoin_is_not_sent_to_the_autopilot(along):
     along.fly()
     pilot, seen = along.pilot, make_pilots(along.scenario, 0)["uav_0"]._briefing
     pilot.make(seen)
@@ -275,7 +275,7 @@ def test_the_past_that_a_process_is_told_when_it_joins_again_is_not_told_to_the_
     assert along.link.deviation((9.0, 8.0)) == 0.0  # it is where its UAV is
 
 
-def test_a_run_that_stands_still_wants_the_autopilot_to_stay(along, monkeypatch):
+def test_paused_run_commands_the_autopilot_to_stay(along, monkeypatch):
     along.fly()
     monkeypatch.setattr(module, "_PAUSED", -1.0)
     monkeypatch.setattr(module, "_RESEND", 0.0)

@@ -84,7 +84,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("message", "cause"), BAD)
-def test_a_setpoint_that_cannot_be_flown_is_refused_with_its_cause(message, cause):
+def test_infeasible_setpoint_is_refused_with_its_cause(message, cause):
     with pytest.raises(Refused) as refused:
         read_setpoint(message, LIMITS)
     assert refused.value.cause == cause
@@ -139,7 +139,7 @@ def test_without_a_setpoint_the_law_flies_to_the_same_bits(run, plain):
     assert run.pilot.setpoint_ticks == 0
 
 
-def test_bad_messages_change_no_bit_and_each_is_counted_by_its_cause(run, plain):
+def test_bad_messages_are_counted_by_cause_and_change_no_bit(run, plain):
     run.pilot.mode = OFFBOARD
     others = [
         (target(system=9), OTHER_SYSTEM),
@@ -201,14 +201,14 @@ def test_a_law_without_a_filter_gets_one_when_setpoints_may_come():
     run.close()
 
 
-def test_hold_stops_the_uav(run):
+def test_mode_hold_stops_the_uav(run):
     run.pilot.mode = HOLD
     run.fly()
     assert math.hypot(*run.pilot.flown.observation.velocity) < 0.25  # as its UGV drives on
     assert run.pilot.setpoint_ticks == 0
 
 
-def test_a_ground_station_changes_modes_and_a_second_one_does_not(run):
+def test_only_the_first_ground_station_changes_modes(run):
     assert of(run.station.send(target()), "COMMAND_ACK") == []
     assert run.gateway.refusals.counts == {TOO_EARLY: 1}
     run.fly()
@@ -227,7 +227,7 @@ def test_a_ground_station_changes_modes_and_a_second_one_does_not(run):
     assert (run.pilot.mode, run.pilot._setpoint) == (OFFBOARD, before)
 
 
-def test_the_uav_tells_what_it_knows_itself_and_not_the_truth(run):
+def test_uav_reports_its_own_knowledge_and_not_the_truth(run):
     run.fly()
     run.gateway.refresh()
     told = run.station.send(mavlink.MAVLink_param_request_list_message(1, 1))

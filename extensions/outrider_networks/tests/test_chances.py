@@ -109,7 +109,7 @@ def is_interrupted(arrives: list[float], delay: int, repeats: int, outage: int) 
 @pytest.mark.parametrize(
     ("period", "flies", "age"), [(1, 0, 2), (1, 1, 3), (2, 0, 2), (3, 1, 4), (2, 2, 1), (1, 0, 0)]
 )
-def test_the_chance_of_an_age_is_that_of_all_outcomes(link, period, flies, age) -> None:
+def test_age_chance_matches_all_outcomes(link, period, flies, age) -> None:
     told = LinkSettings(delay=flies * DT, **link)
     chance = age_exceedance(told, dt=DT, period_ticks=period, dropout=0.1, ticks=10, age=age * DT)
     found = sum(
@@ -129,7 +129,7 @@ def test_the_chance_of_an_age_is_that_of_all_outcomes(link, period, flies, age) 
         *((1, 3, 2, 4), (2, 2, 1, 3), (0, 3, 6, 2), (2, 1, 6, 4)),
     ],
 )
-def test_the_chance_of_an_outage_is_that_of_all_outcomes(link, flies, delay, repeats, outage):
+def test_command_gap_chance_matches_all_outcomes(link, flies, delay, repeats, outage):
     told = LinkSettings(delay=flies * DT, **link)
     chance = command_interval_exceedance(
         told, dt=DT, delay_ticks=delay, repeats=repeats, ticks=11, max_command_interval=outage * DT
@@ -179,13 +179,13 @@ def counted(
 
 
 @pytest.mark.parametrize(("link", "period", "age"), AGES)
-def test_the_chance_of_an_age_agrees_with_its_frequency(flown, link, period, age):
+def test_age_chance_agrees_with_its_frequency(flown, link, period, age):
     numbers = LOOKS | {"period_ticks": period, "age": age}
     counted(flown, age_exceedance, LinkSettings(**link), **numbers)
 
 
 @pytest.mark.parametrize(("link", "delay", "repeats", "outage"), OUTAGES)
-def test_the_chance_of_an_outage_agrees_with_its_frequency(flown, link, delay, repeats, outage):
+def test_command_gap_chance_agrees_with_its_frequency(flown, link, delay, repeats, outage):
     numbers = PACKETS | {"delay_ticks": delay, "repeats": repeats, "max_command_interval": outage}
     counted(flown, command_interval_exceedance, LinkSettings(**link), **numbers)
 
@@ -196,7 +196,7 @@ FAR = Path(__file__).resolve().parents[3] / "examples" / "networks" / "wifi-far.
 
 
 @pytest.mark.parametrize(("number", "ticks"), [(1, 30), (2, 30), (3, 6)])
-def test_over_a_recorded_table_the_chance_is_the_share_of_all_its_places(number, ticks) -> None:
+def test_recorded_link_chance_is_the_share_of_all_offsets(number, ticks) -> None:
     random, places = np.random.default_rng(number), 41
     took = random.choice([math.inf, 0.0, 1.0, 2.0, 6.0], size=places, p=[0.4, 0.2, 0.2, 0.1, 0.1])
     rows = [f"{k * DT:.2f},{n * DT if n < math.inf else 'lost'}" for k, n in enumerate(took)]
@@ -247,7 +247,7 @@ def test_the_chances_over_a_recorded_link_agree_with_frequencies(flown: ModuleTy
         assert chance_of(link, **numbers, **{name: found - DT}).value > 0.05
 
 
-def test_of_mahimahi_files_and_of_recordings_that_are_too_long_no_chance_is_told() -> None:
+def test_mahimahi_and_overlong_recordings_have_no_chance() -> None:
     granted = {"settings": LinkSettings(trace="m"), "traces": (pack("m", b"1\n20\n"),)}
     assert "Mahimahi" in age_exceedance(**granted, **LOOKS, age=1.0).why
     link, traces = LinkSettings(trace="far"), (pack("far", FAR.read_bytes()),)
@@ -265,7 +265,7 @@ def rises(chance: Callable[..., Any], less: dict[str, Any], **more: Any) -> bool
 
 @FEW
 @given(KINDS, st.floats(0.0, 0.5), st.integers(4, 30), st.integers(1, 3))
-def test_the_chance_of_an_age_rises_with_all_that_is_worse(kind, loss, age, period) -> None:
+def test_age_chance_rises_as_conditions_worsen(kind, loss, age, period) -> None:
     link = LinkSettings(delay=0.1, loss=loss, **kind)
     numbers = {"settings": link, "dt": DT, "period_ticks": period, "dropout": 0.1, "ticks": 200}
     numbers["age"] = age * DT
@@ -278,7 +278,7 @@ def test_the_chance_of_an_age_rises_with_all_that_is_worse(kind, loss, age, peri
 
 @FEW
 @given(KINDS, st.floats(0.0, 0.5), st.integers(10, 40), st.integers(2, 10), st.integers(1, 6))
-def test_the_chance_of_an_outage_rises_with_all_that_is_worse(kind, loss, outage, delay, repeats):
+def test_command_gap_chance_rises_as_conditions_worsen(kind, loss, outage, delay, repeats):
     link = LinkSettings(delay=0.1, loss=loss, **kind)
     numbers: dict[str, Any] = {"settings": link, "dt": DT, "delay_ticks": delay, "ticks": 200}
     numbers.update(max_command_interval=outage * DT, repeats=repeats)
@@ -294,7 +294,7 @@ def test_the_chance_of_an_outage_rises_with_all_that_is_worse(kind, loss, outage
 
 @pytest.mark.parametrize("risk", [0.3, 1e-2, 1e-6])
 @pytest.mark.parametrize("kind", [{}, BURSTS, DARK, {"blackouts": ((2.0, 0.4),)}, LATE])
-def test_the_smallest_number_is_the_smallest(kind: dict[str, Any], risk: float) -> None:
+def test_smallest_bound_cannot_be_lowered(kind: dict[str, Any], risk: float) -> None:
     link = LinkSettings(delay=0.1, loss=0.1, **kind)
     looks, packets = LOOKS | {"period_ticks": 2, "ticks": 400}, PACKETS | {"ticks": 400}
     age = smallest_age(link, **looks, risk=risk).value
@@ -310,7 +310,7 @@ def test_the_smallest_number_is_the_smallest(kind: dict[str, Any], risk: float) 
     assert max(kept) <= risk < min(exceeded)
 
 
-def test_what_cannot_be_bounded_is_said_and_is_no_number() -> None:
+def test_unbounded_quantity_is_reported_without_a_number() -> None:
     for told in (
         age_exceedance(SLOW, **LOOKS, age=1.0),
         command_interval_exceedance(SLOW, **PACKETS, max_command_interval=1.0),
@@ -322,12 +322,12 @@ def test_what_cannot_be_bounded_is_said_and_is_no_number() -> None:
         assert told.why
 
 
-def test_packets_that_are_always_too_late_begin_nothing() -> None:
+def test_permanently_late_packets_start_no_trajectory() -> None:
     late = LinkSettings(delay=0.5)
     assert command_interval_exceedance(late, **PACKETS, max_command_interval=5.0) == (1.0, "")
 
 
-def test_a_flight_too_long_to_be_gone_through_has_a_bound() -> None:
+def test_flight_too_long_for_enumeration_has_a_bound() -> None:
     link, numbers = LinkSettings(loss=0.3), {"dt": DT, "period_ticks": 1, "dropout": 0.0}
     long = age_exceedance(link, **numbers, ticks=2_000_000, age=1.0)
     short = age_exceedance(link, **numbers, ticks=2_000, age=1.0)
@@ -338,7 +338,7 @@ def test_a_flight_too_long_to_be_gone_through_has_a_bound() -> None:
     assert age_exceedance(planned, **numbers, ticks=2_000_000, age=1.0).value is None
 
 
-def test_the_smallest_error_is_exceeded_with_the_chance_of_the_risk() -> None:
+def test_smallest_error_is_exceeded_with_the_given_risk() -> None:
     eps = smallest_error(0.1, math.inf, 4000, 1e-3)
     assert error_exceedance(0.1, math.inf, 4000, eps).value == pytest.approx(1e-3, rel=1e-9)
     assert smallest_error(0.1, 3.0, 4000, 1e-3) == pytest.approx(0.3)
@@ -406,7 +406,7 @@ def test_a_risk_that_no_bound_meets_is_refused() -> None:
         "detections.truncation=inf",
     ],
 )
-def test_where_another_assumption_is_broken_no_loss_probability_is_known(broken: str) -> None:
+def test_other_broken_assumption_leaves_loss_probability_unknown(broken: str) -> None:
     quiet = load_scenario("escort", overrides=["links.detections.loss=0.5"])
     assert exceedance(quiet).loss_probability > 0.0
     assert exceedance(scenario(broken)).loss_probability is None

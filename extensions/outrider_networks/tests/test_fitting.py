@@ -32,7 +32,7 @@ FEW = "outrider_networks.samples._MESSAGES", 500
 """For fits of which it is not asked which profile comes nearest."""
 
 
-def test_the_fit_finds_the_settings_of_a_drawn_link_and_its_profile() -> None:
+def test_fit_recovers_the_settings_and_profile_of_a_link() -> None:
     poor = PROFILES["wifi-poor"]
     fit, _ = fit_link(written(poor, 0.05))
     assert fit.nearest == "wifi-poor"
@@ -52,7 +52,7 @@ def test_the_fit_finds_the_settings_of_a_drawn_link_and_its_profile() -> None:
     assert 'jitter_shape = "pareto"' in fit.toml
 
 
-def test_the_fit_tells_blackouts_and_lonely_losses_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fit_distinguishes_blackouts_from_single_losses(monkeypatch: pytest.MonkeyPatch) -> None:
     wanted = LinkSettings(
         delay=0.1, jitter=0.02, jitter_shape="normal", max_jitter=0.1, loss=0.02,
         blackout_length=0.4, blackout_interval=20.0,
@@ -81,7 +81,7 @@ def test_the_fit_finds_an_outage_between_opportunities() -> None:
     assert fit.lost > 0.0  # a full queue drops messages, as in a run
 
 
-def test_a_profile_that_comes_nearer_than_the_fit_is_named(monkeypatch) -> None:
+def test_profile_closer_than_the_fit_is_named(monkeypatch) -> None:
     odd = LinkSettings(delay=0.05, reorder=0.3, reorder_delay=1.0)
     monkeypatch.setattr("outrider_networks.fitting.PROFILES", {"odd": odd})
     fit, _ = fit_link(written(odd, 0.05))

@@ -53,7 +53,7 @@ def writers(key: str) -> set[str]:
     return {VELOCITIES.writer} if key == CMD_VEL else BRIDGES
 
 
-def test_each_party_reads_and_writes_its_own_topics_and_no_others(endpoint: str) -> None:
+def test_each_party_accesses_its_own_topics_only(endpoint: str) -> None:
     wanted = {
         (reader, key, writer)
         for key in DATA
@@ -172,7 +172,7 @@ def declared_inputs() -> Done:
     return done
 
 
-def test_inputs_obey_the_tables_whoever_does_whatever(endpoint: str) -> None:
+def test_inputs_obey_the_access_tables(endpoint: str) -> None:
     """Every party puts to, deletes and calls every key, and serves and reads each, for itself and by wide keys."""
     assert {VELOCITIES.writer, CALLS.writer} == {NODE_OPERATOR}
     wanted, found, deleted = declared_inputs(), set[Any](), set[Any]()
@@ -217,7 +217,7 @@ def test_inputs_obey_the_tables_whoever_does_whatever(endpoint: str) -> None:
     assert not deleted
 
 
-def test_who_comes_late_is_given_the_newest_but_never_a_vehicle(endpoint: str) -> None:
+def test_late_reader_gets_the_newest_message_but_no_vehicle_does(endpoint: str) -> None:
     key = f"0/coverage/{TYPE}"
     got: set[str] = set()
     with everybody(endpoint, GIVEN, NAMES) as sessions:

@@ -93,7 +93,7 @@ def rewritten(bag, folder, keep=lambda _number, _topic: True):
     return folder
 
 
-def test_a_bag_has_the_bridges_topics_with_their_types_hashes_and_qualities(flown):
+def test_bag_has_the_topics_types_hashes_and_qos_of_the_bridge(flown):
     scene = view_of(SCENARIO.name, geometry_of(SCENARIO)).scene
     wanted = {name: (row.interface, row.qos) for row in TOPICS for _, name in row.names(scene)}
     wanted[RECORDS] = (RECORDS_TYPE, RECORDS_QOS)
@@ -161,7 +161,7 @@ def test_no_two_records_have_one_time(flown):
     assert all(later > earlier for earlier, later in pairwise(times))
 
 
-def test_a_bag_tells_all_that_its_recording_tells(flown):
+def test_bag_contains_everything_of_its_recording(flown):
     again, damage = imported(flown.bag)
     (file,), (bag,) = load(flown.file), load(again)
     assert (bag.head, bag.truths, bag.commands) == (file.head, file.truths, file.commands)
@@ -170,7 +170,7 @@ def test_a_bag_tells_all_that_its_recording_tells(flown):
         assert list(read(again)) == list(read(flown.file))
 
 
-def test_a_bag_flies_again_to_the_same_hash_as_it_is_rewritten_and_split(flown, tmp_path):
+def test_rewritten_and_split_bags_refly_to_the_same_hash(flown, tmp_path):
     whole = rewritten(flown.bag, tmp_path / "whole")
     split = rewritten(flown.bag, tmp_path / "split", lambda number, _: number >= 400)
     rewritten(flown.bag, tmp_path / "first", lambda number, _: number < 400)
@@ -248,7 +248,7 @@ def test_a_bag_whose_name_was_taken_meanwhile_is_kept(flown, tmp_path):
     assert refly(flight_of(imported(kept)[0])).trajectory_sha256 == flown.flight.recorder.sha256()
 
 
-def test_what_breaks_in_the_middle_leaves_nothing(flown, tmp_path):
+def test_failed_export_leaves_nothing(flown, tmp_path):
     def begin():
         with RosBag(tmp_path / "bag") as bag:
             next(copy_flight(flight_of(flown.file), bag))
@@ -393,7 +393,7 @@ def test_an_observer_records_a_run_that_is_reset_into_one_bag(tmp_path, known):
         assert copied.truths == first.truths
 
 
-def test_of_a_run_without_a_tick_there_is_no_bag(tmp_path):
+def test_run_without_a_tick_has_no_bag(tmp_path):
     with pytest.raises(ScenarioError, match="no tick was received"):
         observed(tmp_path / "live", None, flights=0).close()
     with pytest.raises(ScenarioError, match="no status contained the geometry"):
@@ -401,7 +401,7 @@ def test_of_a_run_without_a_tick_there_is_no_bag(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_bag_that_tells_a_secret_is_its_owners_alone(tmp_path):
+def test_bag_with_a_secret_is_readable_by_its_owner_only(tmp_path):
     for secret in ("", "7" * 32):
         with RosBag(tmp_path / f"bag{secret[:1]}") as bag:
             bag.begin(head_of(SCENARIO, SEED, secret=secret), SCENARIO)

@@ -87,7 +87,7 @@ def row_key(name: str, vehicle: str = "uav_0") -> tuple[str, str]:
     return row.interface, topic.key(7)
 
 
-def test_what_somebody_reads_is_published_and_nothing_else_is_asked_for(tmp_path: Path) -> None:
+def test_only_topics_with_readers_are_published_and_requested(tmp_path: Path) -> None:
     with staged(tmp_path) as stage:
         observer = stage.observer
         stage.tell()
@@ -125,7 +125,7 @@ def test_what_somebody_reads_is_published_and_nothing_else_is_asked_for(tmp_path
         wait_until(left)
 
 
-def test_who_comes_late_gets_the_map_and_the_graph_shows_every_topic(tmp_path: Path) -> None:
+def test_late_reader_gets_the_map_and_graph_shows_every_topic(tmp_path: Path) -> None:
     with staged(tmp_path) as stage:
         ros, got = stage.ros("ros2_observer"), []
         interface, key = row_key("coverage")
@@ -179,7 +179,7 @@ class Reader:
         """Nothing is left."""
 
 
-def test_readers_of_another_run_that_stands_still_are_told_all_at_once() -> None:
+def test_readers_of_another_paused_run_receive_all_at_once() -> None:
     """Its tick is that at which the run before it was left, and it is not told another one."""
     boxes: dict[Any, Box] = defaultdict(Box)
     readers: dict[str, Reader] = {}
@@ -253,7 +253,7 @@ def test_no_bytes_at_all_make_a_velocity_that_cannot_be_driven(raw: bytes, inter
     assert math.hypot(*wish.velocity) <= 0.2 * (1.0 + 1e-6)
 
 
-def test_an_operators_node_drives_and_what_is_bad_is_counted_and_told(tmp_path: Path) -> None:
+def test_operator_node_drives_and_bad_messages_are_counted(tmp_path: Path) -> None:
     with staged(tmp_path, "operator") as stage:
         wheels = stage.simulator.inbox(OPERATOR, "ugv_0")
         controls = stage.simulator.inbox(CONTROL)

@@ -120,7 +120,7 @@ def bridge(endpoint: str, vehicle: str, links: list[RosPilot]) -> None:
 
 
 @pytest.mark.parametrize(("vehicle", "exact"), [("uav_0", True), ("ugv_0", False)])
-def test_a_ros_2_node_flies_the_trajectory_of_the_pilot_in_this_process(
+def test_ros_2_node_flies_the_trajectory_of_the_local_pilot(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, vehicle: str, exact: bool
 ) -> None:
     """With bad answers before each good one: they are refused, and change nothing."""
@@ -156,7 +156,7 @@ def test_a_ros_2_node_flies_the_trajectory_of_the_pilot_in_this_process(
     }
 
 
-def test_a_node_that_is_late_keeps_nobody_waiting_and_one_that_has_gone_ends_the_process(
+def test_late_node_delays_no_tick_and_lost_node_ends_the_process(
     tmp_path: Path,
 ) -> None:
     session = open_session(

@@ -96,7 +96,7 @@ def test_a_namespace_gets_its_slash_and_a_domain_its_bounds():
         check_domain(233)
 
 
-def test_odometry_and_transforms_tell_the_truth_in_the_map_frame():
+def test_odometry_and_transforms_show_the_truth_in_the_map_frame():
     told = _by_topic(truth_at())
     odometry = told["/uav_0/odom"]
     assert (odometry.header.frame_id, odometry.child_frame_id) == ("map", "uav_0/base_link")
@@ -124,7 +124,7 @@ def test_an_estimate_carries_its_covariance():
     assert not covariance[2:].any()
 
 
-def test_a_path_stays_short_and_begins_anew_with_another_flight():
+def test_path_stays_short_and_restarts_with_another_flight():
     track = PathTrack()
     for tick in range(5000):
         track.add(tick * 0.05, (tick * 0.11, 0.0))
@@ -144,7 +144,7 @@ def test_coverage_is_a_grid_in_percent():
     assert seconds_of(grid.header.stamp) == pytest.approx(5.0)
 
 
-def test_hazards_are_markers_that_keep_their_number_and_are_told_once():
+def test_hazards_are_markers_with_fixed_ids_sent_once():
     outlines = [
         {"kind": "block", "center": [1.0, 2.0], "radius": 0.5},
         {"kind": "rough", "polygon": [[0, 0], [1, 0], [1, 1], [0, 1]]},
@@ -200,7 +200,7 @@ def test_discs_and_sensors_stay_as_they_are():
     assert all(one.frame_locked for one in told["/discs"].markers)
 
 
-def test_every_topic_has_one_row_and_no_observers_topic_is_a_vehicles_own():
+def test_topics_are_unique_and_vehicle_topics_have_their_prefix():
     scene = _view().scene
     names = [name for row in (*TOPICS, *PILOT_TOPICS) for _, name in row.names(scene)]
     assert len(names) == len(set(names))
@@ -209,7 +209,7 @@ def test_every_topic_has_one_row_and_no_observers_topic_is_a_vehicles_own():
     assert all(type_hash(row.interface).startswith("RIHS01_") for row in (*TOPICS, *PILOT_TOPICS))
 
 
-def test_what_is_no_cdr_of_its_type_is_refused_with_a_reason():
+def test_invalid_cdr_is_refused_with_a_reason():
     zero = make("geometry_msgs/msg/Vector3", x=1.0, y=2.0, z=3.0)
     twist = make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
     raw = encode("geometry_msgs/msg/Twist", twist)
@@ -229,7 +229,7 @@ def test_a_time_is_split_without_loss():
         assert 0 <= odometry.header.stamp.nanosec < 10**9
 
 
-def test_every_topic_of_ros_2_is_told_with_its_type(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_ros_2_topic_is_documented_with_its_type(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(Path(__file__).parents[3] / "docs" / "generators")
     generator = importlib.import_module("ros2_topics")
     for rows, text in (

@@ -107,7 +107,7 @@ def test_the_adapter_says_what_the_vector_environment_says(name, end):
     adapter.close()
 
 
-def test_infos_of_an_ended_episode_are_its_last_ones_and_the_new_one_has_its_own():
+def test_ended_episode_has_final_infos_and_the_next_its_own():
     raw = _rows(duration=0.1, safety_filter=True)
     adapter = VecEnvAdapter(_rows(duration=0.1, safety_filter=True))
     raw.reset(seed=1)
@@ -158,9 +158,7 @@ class _Scripted(VectorEnv):
 @pytest.mark.parametrize(
     ("terminated", "truncated", "limit"), [(1, 0, False), (0, 1, True), (1, 1, False)]
 )
-def test_a_time_limit_is_one_only_where_nothing_else_has_ended_the_episode(
-    terminated, truncated, limit
-):
+def test_time_limit_is_flagged_only_without_termination(terminated, truncated, limit):
     adapter = VecEnvAdapter(_Scripted([(bool(terminated), bool(truncated))]))
     adapter.reset()
     _, _, dones, infos = adapter.step(np.zeros((2, 1)))
@@ -214,7 +212,7 @@ def test_attributes_methods_and_layers():
     assert adapter.render_mode is None
 
 
-def test_a_truncated_end_is_worth_what_the_critic_says_of_its_last_observation():
+def test_truncated_end_is_bootstrapped_from_its_last_observation():
     class Recorded(VecEnvAdapter):
         told: ClassVar = []
 
@@ -308,7 +306,7 @@ def test_the_example_refuses_what_it_cannot_do(capsys, monkeypatch):
     assert "--minutes must be positive" in capsys.readouterr().err
 
 
-def test_a_team_trains_briefly_in_a_minefield_and_stands_in_the_table(tmp_path):
+def test_team_trains_briefly_in_a_minefield_and_is_listed(tmp_path):
     options = "--minutes 0.01 --worlds 2 --flights 1 --laws none"
     told = run_example(EXAMPLES / "train_mission.py", options, tmp_path).stdout
     (head,) = [line for line in told.splitlines() if line.startswith("| task | ")]
