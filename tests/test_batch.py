@@ -38,7 +38,7 @@ SCENARIOS: dict[str, Scenario] = {
 
 
 def _alone(scenario, seed):
-    """A world of its own that counts the gains."""
+    """Return a single world that counts the gains."""
     others = (LinkKind.OPERATOR, LinkKind.RADIO)
     batch = Batch(scenario, 1, gains=True, threads=1, others=others)
     batch.begin((seed,))
@@ -66,10 +66,10 @@ def _same(batch: Batch, worlds: list[World]) -> None:
     for k, world in enumerate(worlds):
         assert s.ticks[k] == world.tick
         for u in range(len(world.uavs)):
-            looks = looks_of(world.received(u), world.parameters.dt)
+            received = looks_of(world.received(u), world.parameters.dt)
             packets = s.packets[k, u, ARRIVED, : s.links["arrived"][k, u]]
             found = np.column_stack([packets["stamp"], packets["vector"]])
-            assert found.tolist() == [list(one) for one in looks]
+            assert found.tolist() == [list(one) for one in received]
         assert world.vehicles.tobytes() == s.vehicles[k].tobytes()
         assert world.coverage.tobytes() == s.coverage[k].tobytes()
 
@@ -111,7 +111,7 @@ def test_reset_world_equals_one_that_has_never_flown() -> None:
     kept = [array[1].copy() for array in batch.state]
     batch.begin([9, 8], [2, 0])
     for array, before in zip(batch.state, kept, strict=True):
-        assert str(array[1].tolist()) == str(before.tolist())  # bytes between fields differ
+        assert str(array[1].tolist()) == str(before.tolist())  # padding bytes differ
     fresh = Batch(SCENARIOS["network"], 3, gains=True)
     fresh.begin([8, 2, 9])
     commands = np.full((3, 2, 2), 0.2)

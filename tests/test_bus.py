@@ -42,7 +42,7 @@ def party(role: Role) -> Party:
 
 @pytest.fixture
 def sessions(endpoint: str) -> Iterator[dict[Role, Session]]:
-    """A router and one client for each other role."""
+    """Open a router and one client for each other role."""
     with ExitStack() as stack:
         opened = {
             Role.SIMULATOR: stack.enter_context(
@@ -69,7 +69,7 @@ def test_messages_round_trip_with_the_same_bits_and_vehicle(sessions, key):
 
 
 def _send_until_read(send, sent: list[Message], receive) -> Envelope:
-    """Send the last of these until it is read: the first may go before the subscription has arrived."""
+    """Send these until the last one is read: earlier ones may be sent before the subscription has arrived."""
     for _ in range(50):
         send(sent[-1])
         while (envelope := receive(0.2)) is not None:
@@ -230,21 +230,21 @@ from bus.errors import BusError
 from bus.keys import Party, Role
 from bus.joining import open_session
 
-def join(told):
+def join(results):
     try:
         with open_session(Party(role=Role.UAV, name="uav_0"), "run", connect=sys.argv[1]):
-            told.put("joined")
+            results.put("joined")
     except BusError as error:
-        told.put(str(error))
+        results.put(str(error))
 
 forks = multiprocessing.get_context("fork")
-told = forks.Queue()
+results = forks.Queue()
 with open_session(Party(role=Role.SIMULATOR, name="simulator"), "run", listen=(sys.argv[1],)):
-    child = forks.Process(target=join, args=(told,))
+    child = forks.Process(target=join, args=(results,))
     child.start()
     child.join(20.0)
     child.kill()
-    print("hung" if told.empty() else told.get())
+    print("hung" if results.empty() else results.get())
 """
 
 

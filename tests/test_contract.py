@@ -32,12 +32,12 @@ TO_UAV = [key.message for key in KEYS if Role.UAV in key.readers]
 TO_UGV = [key.message for key in KEYS if Role.UGV in key.readers]
 
 
-def told(messages_to: list[type]) -> set[str]:
+def fields_of(messages_to: list[type]) -> set[str]:
     return set().union(*map(fields_within, messages_to))
 
 
 def test_uav_receives_exactly_these_fields() -> None:
-    """The certificate is of its own detections, commands, actuators and inner loop."""
+    """The certificate relies on its own detections, commands, actuators and inner loop."""
     known = """
         tick time position velocity detections relative_position over episode committed_trajectory
         limits target_limits max_speed max_acceleration
@@ -48,7 +48,7 @@ def test_uav_receives_exactly_these_fields() -> None:
         ground tile map_update_rate tile_reports column row state
         origin latitude longitude altitude
         vehicle dt visibility_radius law key past more"""
-    assert told(TO_UAV) == {*words(known), *fields_within(Law)}
+    assert fields_of(TO_UAV) == {*words(known), *fields_within(Law)}
 
 
 def test_ugv_receives_exactly_these_fields() -> None:
@@ -58,16 +58,16 @@ def test_ugv_receives_exactly_these_fields() -> None:
         ground tile sensing_range caution delay rough_speed_share executes_trajectories
         tile_reports column row state map_updates tiles committed_trajectory
         vehicle dt area width height cell limits max_speed max_acceleration"""
-    assert told(TO_UGV) == {*words(known)}
+    assert fields_of(TO_UGV) == {*words(known)}
 
 
 def test_briefed_past_is_the_vehicles_own_observations() -> None:
-    for told, seen in (
+    for briefing_type, seen in (
         (UavBriefing, UavObservation),
         (UgvBriefing, UgvObservation),
     ):
-        assert get_args(get_type_hints(told)["past"]) == (seen, ...)
-        assert get_type_hints(told)["more"] is bool
+        assert get_args(get_type_hints(briefing_type)["past"]) == (seen, ...)
+        assert get_type_hints(briefing_type)["more"] is bool
 
 
 @pytest.mark.parametrize("kind", TO_UAV)
@@ -152,7 +152,7 @@ ON_BOARD = {
     "sim.compiling.lanes",
     "sim.compiling.records",
 }
-"""All that a vehicle carries of the simulator."""
+"""All modules of the simulator on board of a vehicle."""
 
 
 def test_import_contract_covers_all_simulator_modules() -> None:
@@ -177,21 +177,21 @@ def test_import_contract_covers_all_simulator_modules() -> None:
 
 
 @pytest.fixture
-def _linter() -> None:
-    """The contracts are of sources, not of what is installed: a development tool checks them."""
+def _needs_linter() -> None:
+    """The contracts check the sources; they need a development tool."""
     pytest.importorskip("importlinter", reason="a development tool")
 
 
 LINT = [Path(sys.executable).with_name("lint-imports"), "--no-cache"]
 
 
-@pytest.mark.usefixtures("_linter")
+@pytest.mark.usefixtures("_needs_linter")
 def test_the_import_contracts_hold() -> None:
     run = ran(LINT, cwd=ROOT)
     assert run.returncode == 0, run.stdout + run.stderr
 
 
-@pytest.mark.usefixtures("_linter")
+@pytest.mark.usefixtures("_needs_linter")
 def test_import_contracts_catch_an_agent_reading_the_world(tmp_path: Path) -> None:
     import shutil
 
@@ -212,9 +212,9 @@ def test_import_contracts_catch_an_agent_reading_the_world(tmp_path: Path) -> No
 
 ROOMS = {"sim.models", "sim.compiling"}
 REFUSES_FUNCTIONS = {"sim.input", "sim.input.faults"}
-"""The user's own code is refused in one line."""
+"""Modules that refuse invalid user code in one line."""
 OF_MESSAGES = {"sim.scene", "sim.scene.colors", "sim.scene.model"}
-"""By which messages of ROS 2 are made: a scene's types, and nothing of a world."""
+"""Modules that convert messages to ROS 2: types of a scene, but no world."""
 
 
 @pytest.mark.parametrize(

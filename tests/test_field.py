@@ -1,6 +1,4 @@
-"""The field: sensor (2), accumulation (3), error (4), density (9) and the integral of (6), against NumPy and against
-calculus.
-"""
+"""The field: sensor (2), accumulation (3), error (4), density (9) and the integral of (6), by NumPy and calculus."""
 
 import math
 from dataclasses import dataclass
@@ -50,7 +48,7 @@ class Place:
 
 @st.composite
 def places(draw: st.DrawFn) -> Place:
-    """Areas that are no squares, cells of many sizes, vehicles inside Q, on its border and outside."""
+    """Draw non-square areas, cells of many sizes, and vehicles inside Q, on its border and outside."""
     cell = draw(st.sampled_from((0.1, 0.25, 0.37, 1.0)))
     rows, columns = draw(st.integers(1, 60)), draw(st.integers(1, 60))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
@@ -121,7 +119,7 @@ def test_gradient_vanishes_in_symmetric_states_and_only_there(sensor, p):
 
 
 def error_decrease(coverage, p_ax, p_ay, p_gx, p_gy, r_o, desired, sensor, cell):
-    r"""$-\dot e$ while the UGV stands: $\int h'(C^* - C)\, S_a(p_a, q)\, \phi\, dq$.
+    r"""Return $-\dot e$ while the UGV stands: $\int h'(C^* - C)\, S_a(p_a, q)\, \phi\, dq$.
 
     Arguments as in `coverage_gradient`.
     """

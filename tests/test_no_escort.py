@@ -1,4 +1,4 @@
-"""UGVs without a UAV: the baseline that shows what the escort is worth."""
+"""UGVs without a UAV: the baseline for the value of the escort."""
 
 import functools
 import json
@@ -40,7 +40,7 @@ from sim.server.flight import Flight
 
 @functools.cache
 def alone() -> Scenario:
-    """The minefield without a UAV; loading it draws hazards, which is compiled: not where tests are collected."""
+    """Return the minefield without a UAV; loading it compiles, which must not happen during collection."""
     return load_scenario("minefield", overrides=["uav=[]", "duration=15.0"])
 
 
@@ -82,12 +82,12 @@ def test_two_processes_and_one_drive_the_same_bits() -> None:
 
 def test_the_summary_says_nothing_of_an_escort(flown, capsys) -> None:
     _, _, summary = flown
-    told = json.loads(msgspec.json.encode(summary))
+    fields = json.loads(msgspec.json.encode(summary))
     escort = ("law", "max_distance", "mean_distance", "switching_radius", "initial_error")
     escort += ("mean_error", "final_error", "estimate_rmse", "detection_rmse", "certified_share")
-    assert {name: told[name] for name in escort} == dict.fromkeys(escort)
-    assert told["visibility_violations"] == told["crossings"] == told["detections"] == 0
-    assert told["mission"]["hazards_hit"] == 0
+    assert {name: fields[name] for name in escort} == dict.fromkeys(escort)
+    assert fields["visibility_violations"] == fields["crossings"] == fields["detections"] == 0
+    assert fields["mission"]["hazards_hit"] == 0
     console.print_summary(summary, [])
     table = capsys.readouterr().out
     assert "no UAV" in table

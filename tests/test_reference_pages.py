@@ -1,4 +1,4 @@
-"""The pages of the reference that are made from the code are whole."""
+"""The generated reference pages are complete."""
 
 import importlib
 import re
@@ -22,7 +22,9 @@ GENERATORS = Path(__file__).resolve().parent.parent / "docs" / "generators"
 
 @pytest.fixture
 def generator(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> ModuleType:
-    if request.param == "observations":  # its page shows the tables of learning, too
+    if (
+        request.param == "observations"
+    ):  # its page also shows the tables of the extension outrider_learning
         pytest.importorskip("outrider_learning", reason="the extension is not installed")
     monkeypatch.syspath_prepend(GENERATORS)
     return importlib.import_module(request.param)

@@ -1,4 +1,4 @@
-"""The picture of one flight."""
+"""The picture of one run."""
 
 import math
 import struct
@@ -49,7 +49,7 @@ def panel(figure, title):
 
 
 def limits(axes):
-    """The names of the radii that are drawn over time."""
+    """Return the names of the radii that are drawn over time."""
     return [text.get_text() for text in axes.texts]
 
 
@@ -76,7 +76,7 @@ def test_user_settings_change_no_byte_of_the_picture(flight, drawn, tmp_path):
 
 
 def test_header_shows_scenario_law_seed_distance_and_margin(flight):
-    told = " ".join(words(flight_figure(flight)))
+    text_of_figure = " ".join(words(flight_figure(flight)))
     farthest = flight.recorder.escorts[:, 0, 0].max()
     for part in (
         "test",
@@ -85,7 +85,7 @@ def test_header_shows_scenario_law_seed_distance_and_margin(flight):
         f"{farthest:.2f} m",
         f"margin {4.75 - farthest:.2f} m",
     ):
-        assert part in told
+        assert part in text_of_figure
 
 
 def test_map_shows_the_share_of_the_coverage_wanted(flight):
@@ -157,8 +157,8 @@ def test_two_pairs_have_colors_and_names_of_their_own(tmp_path):
 def test_observers_have_the_same_scene_as_who_knows_the_scenario():
     one = scenario()
     names = [vehicle.name for vehicle in one.vehicles]
-    told = geometry_of(one)
-    observed = observed_scene(one.name, told, escorts=told.uavs, vehicles=names)
+    geometry = geometry_of(one)
+    observed = observed_scene(one.name, geometry, escorts=geometry.uavs, vehicles=names)
     assert observed == scene_of(one)
     assert observed.vehicles[0].goals
 

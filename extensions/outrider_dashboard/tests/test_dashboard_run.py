@@ -1,4 +1,4 @@
-"""The page of a run and of a recording: real processes, and what a browser gets from them."""
+"""The page of a run and of a recording: real processes, and the messages to a browser."""
 
 import contextlib
 import json
@@ -31,7 +31,7 @@ Frame = dict[str, Any]
 
 @dataclass(frozen=True)
 class Page:
-    """A page that one browser has opened."""
+    """A page opened by one browser."""
 
     port: int
     cookie: str
@@ -48,7 +48,7 @@ class Page:
 
 
 def page_of(process: "subprocess.Popen[str]") -> Page:
-    """The page where the process says it is."""
+    """Return the page at the address that a process prints."""
     assert process.stderr is not None
     seen = []
     for line in process.stderr:
@@ -57,7 +57,7 @@ def page_of(process: "subprocess.Popen[str]") -> Page:
             answer = httpx2.get(found.group(0), trust_env=False, timeout=20.0)
             assert answer.status_code == 303
             return Page(int(found.group(1)), answer.headers["Set-Cookie"].partition(";")[0])
-    raise AssertionError(f"never said: {seen}")
+    raise AssertionError(f"no address in: {seen}")
 
 
 def browser(page: Page) -> ClientConnection:
@@ -72,7 +72,7 @@ def next_frame(channel: ClientConnection) -> Frame:
 
 
 def frames(channel: ClientConnection) -> Iterator[Frame]:
-    """All that come until the page is no longer served."""
+    """Yield all frames until the page is no longer served."""
     with contextlib.suppress(ConnectionClosed):
         while True:
             yield next_frame(channel)
@@ -90,8 +90,8 @@ def serves(page: Page) -> bool:
 
 
 def test_page_opens_with_the_run_shows_all_and_ends_with_it() -> None:
-    told = words("run --with dashboard:port=0 --realtime 40 --duration 60 --no-files --json")
-    with started(*told) as run:
+    arguments = words("run --with dashboard:port=0 --realtime 40 --duration 60 --no-files --json")
+    with started(*arguments) as run:
         page = page_of(run)
         assert "Outrider" in page.text()
         rows: list[list[float]] = []
@@ -102,7 +102,7 @@ def test_page_opens_with_the_run_shows_all_and_ends_with_it() -> None:
                 statuses += [frame["status"]] if "status" in frame else []
         out, err = run.communicate(timeout=60)
         assert run.returncode == 0, err
-    # it was there before the first tick, and looks every 0.1 s, in which 4 s are flown
+    # The page opened before the first tick and samples every 0.1 s, in which 4 s are simulated.
     assert rows[0][0] < 8.0
     assert rows[-1][0] >= 59.0
     assert statuses[-1]["over"] is True
@@ -133,8 +133,8 @@ def test_run_with_page_is_real_time_and_ctrl_c_ends_all() -> None:
 
 
 def test_dead_page_is_reported_once_and_the_run_continues() -> None:
-    told = words("run --with dashboard:port=0 --realtime 0 --duration 250 --no-files --json")
-    with started(*told) as run:
+    arguments = words("run --with dashboard:port=0 --realtime 0 --duration 250 --no-files --json")
+    with started(*arguments) as run:
         page = page_of(run)
         with browser(page) as channel:
             await_truth(channel, 1)
@@ -178,8 +178,8 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_page_replays_a_recording_without_controls(recording: Path) -> None:
-    told = words("--with dashboard:port=0 --realtime 10")
-    with started("replay", str(recording), *told) as replay:
+    arguments = words("--with dashboard:port=0 --realtime 10")
+    with started("replay", str(recording), *arguments) as replay:
         page = page_of(replay)
         assert "this is a recording" in page.text()
         assert httpx2.get(f"http://127.0.0.1:{page.port}/", trust_env=False).status_code == 401
@@ -188,9 +188,9 @@ def test_page_replays_a_recording_without_controls(recording: Path) -> None:
         with browser(page) as channel:
             hello = json.loads(channel.recv(20.0))
             assert hello["steer"] is False
-            told = msgspec.convert(hello["metrics"], dict[str, list[Metric]])
-            assert told["now"] == [*NOW.values()]
-            assert told["mission"] == [*MISSION.values()]
+            metrics = msgspec.convert(hello["metrics"], dict[str, list[Metric]])
+            assert metrics["now"] == [*NOW.values()]
+            assert metrics["mission"] == [*MISSION.values()]
             channel.send('{"kind":"take","vehicle":"ugv_0"}')
             maps = 0
             for frame in frames(channel):

@@ -1,6 +1,6 @@
 """The attack on the certificate.
 
-It finds nothing where the theorem holds, and what is known to be wrong does not survive it.
+It finds nothing where the theorem holds, and it breaks every configuration known to be wrong.
 """
 
 import math
@@ -55,7 +55,7 @@ CONDITIONS = {
     "commands that come early": (Conditions(delay=0.5, jitter=True), 0.3),
     "bare accelerations": (Conditions(bare=True), 0.3),
 }
-"""Within the assumptions: conditions, and eps [m]."""
+"""Conditions within the assumptions, and eps [m]."""
 
 
 RUNS, DURATION = 60, 100.0
@@ -67,13 +67,13 @@ def flown(conditions: Conditions, eps: float, **numbers: float) -> RecordArray:
 
 @pytest.mark.parametrize("name", CONDITIONS)
 def test_valid_assumptions_keep_sight_close_to_the_bound(name) -> None:
-    """One that nobody comes near would be worth little."""
+    """Distances close to the bound show that the attack is strong."""
     conditions, eps = CONDITIONS[name]
     bounds = declared(conditions, eps)
     assert not math.isnan(bounds.handover_radius)
     rows = flown(conditions, eps)
     assert 0.98 * R_V < rows["max_distance"].max() < R_V
-    assert rows["max_certified"].max() < R_V  # between ticks too
+    assert rows["max_certified"].max() < R_V  # also between ticks
     assert rows["max_excess"].max() <= 1e-9
     assert not any(rows[name].any() for name in ("uncertified", "certified_lost", "broken"))
     assert rows["max_age"].max() <= bounds.max_measurement_age + 1e-9
@@ -116,7 +116,9 @@ def test_undeclared_errors_break_the_bound_and_are_detected() -> None:
     conditions = Conditions(error=SPHERE, error_share=2.0)
     found = flown(conditions, 0.3)
     assert found["uncertified"].min() > 0.9
-    assert found["broken"].max() == 0.0  # what the errors contradict is no broken certificate
+    assert (
+        found["broken"].max() == 0.0
+    )  # measurements that contradict the errors break no certificate
 
 
 DISTURBED = {
@@ -158,7 +160,7 @@ def test_uav_starting_in_motion_keeps_its_certificate(delay: float) -> None:
 
 
 def test_attack_catches_a_filter_with_too_large_a_radius() -> None:
-    """The counters count: a filter that believes in too large a radius."""
+    """Check the counters with a safety filter whose radius is too large."""
     bounds = declared(Conditions(), 0.0)
     assert flown_with(bounds._replace(radius=4.9, handover_radius=4.85))["certified_lost"].sum() > 0
     assert flown_with(bounds._replace(handover_radius=4.74))["broken"].sum() > 0
@@ -180,7 +182,7 @@ def test_the_largest_distance_within_a_tick_is_exact(seed: int) -> None:
 
 
 def test_residual_velocities_at_a_wall_break_no_certificate() -> None:
-    """Starts within nanometres of a wall, where a contact takes velocity from a plan.
+    """Start within nanometres of a wall, where a contact removes velocity from a plan.
 
     Only the first tick of a UAV that starts on the wall and moves into it may be uncertified.
     """

@@ -1,6 +1,6 @@
 """The search for violations.
 
-What is known to be wrong is found, what is known to hold stands, and each find flies again.
+It finds what is known to be wrong, breaks nothing that is known to hold, and each find can be flown again.
 """
 
 import json
@@ -67,7 +67,7 @@ def candidates(count: int) -> list[Candidate]:
     ]
 
 
-# What is found, and what is not
+# Finds, and their absence
 
 
 def test_switching_law_fails_undegraded_and_refly_is_identical(tmp_path):
@@ -109,23 +109,23 @@ BROKEN = {
     "max_measurement_error": (SearchLimits(noise=0.3), {"certificate.max_measurement_error": 0.05}),
     "max_command_delay": (SearchLimits(command_delay=1.0), {"certificate.max_command_delay": 0.0}),
 }
-"""Limits that go beyond what is declared."""
+"""Limits beyond the declared bounds."""
 
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_broken_assumption_is_reported_and_is_no_violation(name: str) -> None:
     limits, declared = BROKEN[name]
-    told = beyond_declared(base("certified", limits, **declared), limits)
-    assert len(told) == 1
-    assert f"certificate.{name}" in told[0]
+    warnings = beyond_declared(base("certified", limits, **declared), limits)
+    assert len(warnings) == 1
+    assert f"certificate.{name}" in warnings[0]
     result = found("certified", 6, limits, changes=declared)
     assert result.flights.uncertified > 0
     assert result.violations == 0
 
 
 def test_guarantee_starts_certified_and_resumes_after_a_gap() -> None:
-    word = np.array([False, True, True, False, True, True, True, True], dtype=np.bool_)
-    assert guaranteed(word, 2).tolist() == [
+    certified = np.array([False, True, True, False, True, True, True, True], dtype=np.bool_)
+    assert guaranteed(certified, 2).tolist() == [
         False,
         False,
         True,
@@ -140,18 +140,18 @@ def test_guarantee_starts_certified_and_resumes_after_a_gap() -> None:
 
 
 def test_certified_tick_out_of_sight_after_a_gap_is_a_violation(monkeypatch):
-    """The UAV flies off, and claims now and then, too short for a guarantee, that sight is kept."""
+    """Fly away while single ticks, too few for a guarantee, are certified."""
 
     def fly_off(scenario, seed, *, on_tick):
         flight, pilots = Flight(scenario, seed), make_pilots(scenario, seed)
 
         def act(seen: UavObservation) -> UavCommand:
-            said = pilots["uav_0"].act(seen)
+            command = pilots["uav_0"].act(seen)
             reason = None if seen.tick % 10 == 9 else NotCertified.NO_PLAN
-            decision = msgspec.structs.replace(said.report.decision, reason=reason)
-            report = msgspec.structs.replace(said.report, decision=decision)
+            decision = msgspec.structs.replace(command.report.decision, reason=reason)
+            report = msgspec.structs.replace(command.report, decision=decision)
             return msgspec.structs.replace(
-                said, acceleration=(0.3, 0.3), backup_trajectories=(), report=report
+                command, acceleration=(0.3, 0.3), backup_trajectories=(), report=report
             )
 
         flight.fly(Piloted(pilots, "uav_0", act), on_tick=lambda: on_tick(flight))
@@ -160,8 +160,8 @@ def test_certified_tick_out_of_sight_after_a_gap_is_a_violation(monkeypatch):
     monkeypatch.setattr(flying, "fly", fly_off)
     candidate = next(one for one in candidates(8) if one.kind != "adversary")
     _, flight, result = flown(candidate, base("certified"), UNDEGRADED)
-    away = distances(flight) >= R_V
-    lies = int(away[9:-1:10].sum() + away[-1])  # the last claim is held against the last state, too
+    lost = distances(flight) >= R_V
+    lies = int(lost[9:-1:10].sum() + lost[-1])  # also at the last state
     assert result.certified_while_lost == lies > 5
     assert result.violated
     assert result.score >= R_V
@@ -169,9 +169,9 @@ def test_certified_tick_out_of_sight_after_a_gap_is_a_violation(monkeypatch):
     tally.take(candidate, result)
     tally.take(candidate, result)
     wanted = SearchRequest(base=base("certified"), limits=UNDEGRADED, flies=True, attacks=False)
-    told = SearchResult(wanted, flights=tally).as_plain()["flights"]
-    assert (told["violations"], told["certified_while_lost"]) == (2, 2 * lies)
-    assert told["certificate_broken"] == 2 * result.certificate_broken
+    counts = SearchResult(wanted, flights=tally).as_plain()["flights"]
+    assert (counts["violations"], counts["certified_while_lost"]) == (2, 2 * lies)
+    assert counts["certificate_broken"] == 2 * result.certificate_broken
 
 
 # Candidates
@@ -182,15 +182,15 @@ def test_every_candidate_can_be_flown_and_is_within_the_limits(law: str) -> None
     start = base(law, DEGRADED)
     for candidate in candidates(60):
         scenario = check_scenario(decode(candidate, start, DEGRADED))
-        uav, ugv, looks = scenario.uav[0], scenario.ugv[0], scenario.links.detections
+        uav, ugv, link = scenario.uav[0], scenario.ugv[0], scenario.links.detections
         assert math.hypot(*uav.velocity) <= uav.max_speed
         assert math.hypot(*ugv.velocity) <= ugv.max_speed
         assert all(math.hypot(*step.velocity) <= ugv.max_speed for step in ugv.script)
         outward = (math.hypot(*uav.velocity) + ugv.max_speed) ** 2 / (2.0 * uav.max_acceleration)
         assert math.dist(uav.position, ugv.position) + outward <= R_S + 0.01
-        assert looks.delay + looks.jitter <= DEGRADED.delay + 1e-9
-        assert looks.loss <= DEGRADED.loss
-        assert all(length <= DEGRADED.blackout for _, length in looks.blackouts)
+        assert link.delay + link.jitter <= DEGRADED.delay + 1e-9
+        assert link.loss <= DEGRADED.loss
+        assert all(length <= DEGRADED.blackout for _, length in link.blackouts)
         assert scenario.detections.noise <= DEGRADED.noise
         assert scenario.links.of("uav_0", LinkKind.COMMANDS).delay <= DEGRADED.command_delay
         assert scenario.links.of("ugv_0", LinkKind.COMMANDS).delay == 0.0
@@ -260,7 +260,7 @@ def test_cma_continues_from_the_best_and_keeps_numpys_rng_state() -> None:
         flown(one, base("linear", duration=6.0), SearchLimits())[2].score for one in candidates(0)
     )
     assert result.worst > first
-    # two batches are chance's
+    # the first two batches are random
     assert all(candidate.number >= 64 for candidate, _ in result.flights.elite)
 
 
@@ -269,7 +269,7 @@ def test_the_budget_is_kept() -> None:
     began = time.monotonic()
     result = found(
         "linear", None, minutes=0.1
-    )  # within which the workers start on a busy machine, too
+    )  # the workers also need time to start on a busy machine
     assert 5.0 < time.monotonic() - began < 40.0
     assert result.runs > 0
 
@@ -334,23 +334,23 @@ def test_command_saves_the_find_and_reports_it_by_exit_code(here, command):
     quick = words("--limit none --duration 25 --jobs 1 --runs 3 --json --expect none")
     run = command("falsify", "--law", "switching", *quick)
     assert run.returncode == 1
-    told = json.loads(run.stdout)
-    assert set(words("law runs violations worst_distance scenario seconds seed")) <= set(told)
-    found = (told["law"], told["runs"], told["scenario"])
+    output = json.loads(run.stdout)
+    assert set(words("law runs violations worst_distance scenario seconds seed")) <= set(output)
+    found = (output["law"], output["runs"], output["scenario"])
     assert found == ("switching", 3, "counterexample-switching.toml")
     assert "--expect none" in run.stderr
-    again = command("run", told["scenario"], "--in-process", "--no-files", "--json")
+    again = command("run", output["scenario"], "--in-process", "--no-files", "--json")
     flown_again = json.loads(again.stdout)
-    assert flown_again["max_distance"] == told["worst_distance"]
-    assert flown_again["trajectory_sha256"] == told["trajectory_sha256"]
+    assert flown_again["max_distance"] == output["worst_distance"]
+    assert flown_again["trajectory_sha256"] == output["trajectory_sha256"]
 
 
 def test_nothing_found_is_no_file_and_exit_code_0(here, command):
     quick = words("falsify --law linear --limit none --duration 5 --jobs 1 --runs 2 --json")
     run = command(*quick, "--expect", "none")
     assert run.returncode == 0
-    told = json.loads(run.stdout)
-    assert (told["violations"], told["scenario"]) == (0, None)
+    output = json.loads(run.stdout)
+    assert (output["violations"], output["scenario"]) == (0, None)
     assert command(*quick, "--expect", "some").returncode == 1
     assert not list(here.iterdir())
 
@@ -366,9 +366,9 @@ def test_ctrl_c_keeps_the_best(tmp_path: Path) -> None:
     assert process.returncode == 130
     assert "interrupted after" in err
     assert "Traceback" not in err
-    told = json.loads(out)
-    assert told["violations"] > 0
-    assert (tmp_path / told["scenario"]).exists()
+    output = json.loads(out)
+    assert output["violations"] > 0
+    assert (tmp_path / output["scenario"]).exists()
 
 
 def test_a_search_asks_before_it_loads_code_of_a_file(here, command) -> None:

@@ -1,4 +1,4 @@
-"""Attacks with wind and a wrong own position: nothing is found within w, and a w that is too small is caught."""
+"""Attacks with wind and position errors: no violation within w, and too small a w is caught."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The learned UAV: its file, its flight alone and in a batch, its table; all without a learning library."""
+"""The learned UAV: its file, single and batched flights, its table; all without a learning library."""
 
 import importlib
 import json
@@ -50,8 +50,8 @@ def test_the_shipped_file_is_small_and_says_how_it_was_made(evaluation: ModuleTy
     assert POLICY.stat().st_size < 300_000
     assert recipe["algorithm"] == "PPO"
     assert recipe["trained"]["ticks"] == recipe["repeat"] * recipe["trained"]["decisions"] > 1e6
-    told = "seed num_envs rewards versions scenario driver curve"
-    assert set(words(told)) <= recipe.keys()
+    fields = "seed num_envs rewards versions scenario driver curve"
+    assert set(words(fields)) <= recipe.keys()
     assert recipe["seed"] * 100 + recipe["num_envs"] < evaluation.VALIDATION_SEEDS[0]
     assert network.weights[-1].shape[0] == 2
 
@@ -92,7 +92,7 @@ def test_ugv_receives_tiles_by_radio_in_one_world_as_in_a_batch() -> None:
         seen, *_ = env.step(dict.fromkeys(env.agents, still))
     observed, tiles = worlds.observe("ugv_0"), seen["ugv_0"]["tiles"]
     assert np.array_equal(observed["tiles"][0], tiles)
-    assert np.count_nonzero(tiles == CLEAR) > 50  # more than a bumper feels
+    assert np.count_nonzero(tiles == CLEAR) > 50  # more than the bumper senses
 
 
 def test_it_sees_what_it_was_trained_on() -> None:
@@ -196,7 +196,7 @@ _UNREADABLE = ("missing", "text", "empty", "half", "other", "objects", "complex"
 
 
 def _bad_files(folder: Path) -> dict[str, str]:
-    """Files that are no policy, and what is said of them."""
+    """Return invalid files and their error messages."""
     network, recipe = load_policy(POLICY)
     (folder / "text.npz").write_text("no policy")
     (folder / "empty.npz").write_bytes(b"")
@@ -295,7 +295,7 @@ def test_network_output_has_the_same_bits_alone_and_in_a_batch() -> None:
 
 @pytest.mark.parametrize("duration", [1.0, 0.5])
 def test_action_repeat_sums_the_rewards_of_its_ticks(duration: float) -> None:
-    """Five steps of four ticks, and ten ticks, which end amid the third step: the next episode rests until its end."""
+    """Compare five steps of four ticks with ten ticks, which end within the third step; then the UAV rests."""
     plain, repeated = (
         outrider.vector_env("escort", num_envs=2, duration=duration) for _ in range(2)
     )
@@ -304,23 +304,23 @@ def test_action_repeat_sums_the_rewards_of_its_ticks(duration: float) -> None:
     env.reset(seed=2)
     action, ends = np.array([[0.2, 0.1], [-0.3, 0.0]]), 0
     for _ in range(10):
-        held, total, told = action, np.zeros(2), dict[str, Any]()
+        applied, total, ended = action, np.zeros(2), dict[str, Any]()
         for _ in range(4):
-            seen, rewards, terminated, truncated, infos = plain.step(held)
-            total += 0.0 if told else rewards
+            seen, rewards, terminated, truncated, infos = plain.step(applied)
+            total += 0.0 if ended else rewards
             assert not terminated.any()
             if truncated.all():
-                held, told = np.zeros((2, 2)), infos
+                applied, ended = np.zeros((2, 2)), infos
         got, paid, lost, over, infos = env.step(action)
         assert np.array_equal(got, seen)
         assert np.array_equal(paid, total)
         assert not lost.any()
-        assert over.tolist() == [bool(told)] * 2
-        if told:
+        assert over.tolist() == [bool(ended)] * 2
+        if ended:
             ends += 1
             assert infos["_final_obs"].all()
-            assert np.array_equal(np.stack(infos["final_obs"]), np.stack(told["final_obs"]))
-            returns, theirs = (one["final_info"]["episode"]["r"] for one in (infos, told))
+            assert np.array_equal(np.stack(infos["final_obs"]), np.stack(ended["final_obs"]))
+            returns, theirs = (one["final_info"]["episode"]["r"] for one in (infos, ended))
             assert np.array_equal(returns, theirs)
     assert ends == round(2.0 / duration)
 

@@ -45,8 +45,8 @@ def _view():
 def _by_topic(message, view=None):
     view = view or _view()
     rows = {name: row for row in TOPICS for _, name in row.names(view.scene)}
-    told = messages_of(view, message)
-    return {name: decode(rows[name].interface, payload) for name, payload in told}
+    payloads = messages_of(view, message)
+    return {name: decode(rows[name].interface, payload) for name, payload in payloads}
 
 
 def test_a_key_and_tokens_are_those_that_rmw_zenoh_makes():
@@ -74,11 +74,11 @@ def test_a_gid_is_the_hash_of_the_token_with_its_low_half_first():
 
 
 def test_an_attachment_is_read_back_and_another_length_is_none():
-    told = Attachment(sequence=5, time=123456789012345, gid=bytes(range(16)))
-    raw = told.encoded()
+    attachment = Attachment(sequence=5, time=123456789012345, gid=bytes(range(16)))
+    raw = attachment.encoded()
     assert raw[:8] == struct.pack("<q", 5)
     assert raw[16] == 16
-    assert Attachment.decoded(raw) == told
+    assert Attachment.decoded(raw) == attachment
     assert Attachment.decoded(raw[:-1]) is None
     assert Attachment.decoded(raw[:16] + b"\x0f" + raw[17:]) is None
 
@@ -97,14 +97,14 @@ def test_a_namespace_gets_its_slash_and_a_domain_its_bounds():
 
 
 def test_odometry_and_transforms_show_the_truth_in_the_map_frame():
-    told = _by_topic(truth_at())
-    odometry = told["/uav_0/odom"]
+    messages = _by_topic(truth_at())
+    odometry = messages["/uav_0/odom"]
     assert (odometry.header.frame_id, odometry.child_frame_id) == ("map", "uav_0/base_link")
     assert seconds_of(odometry.header.stamp) == pytest.approx(2.0, abs=1e-9)
     position, velocity = odometry.pose.pose.position, odometry.twist.twist.linear
     assert (position.x, position.y, position.z) == (3.0, 4.5, 0.0)
     assert (velocity.x, velocity.y) == (0.25, -0.5)
-    frames = {one.child_frame_id: one.transform for one in told["/tf"].transforms}
+    frames = {one.child_frame_id: one.transform for one in messages["/tf"].transforms}
     assert set(frames) == {"uav_0/base_link", "ugv_0/base_link"}
     assert frames["ugv_0/base_link"].translation.x == 5.0
     assert frames["ugv_0/base_link"].rotation.w == 1.0
@@ -136,8 +136,8 @@ def test_path_stays_short_and_restarts_with_another_flight():
 
 def test_coverage_is_a_grid_in_percent():
     cells = bytes([0, 127, 255, 255, 0, 51])
-    told = CoverageMap(tick=100, columns=3, rows=2, cell=0.25, cells=cells)
-    grid = _by_topic(told)["/coverage"]
+    coverage = CoverageMap(tick=100, columns=3, rows=2, cell=0.25, cells=cells)
+    grid = _by_topic(coverage)["/coverage"]
     assert (grid.info.width, grid.info.height) == (3, 2)
     assert grid.info.resolution == 0.25
     assert grid.data.tolist() == [0, 50, 100, 100, 0, 20]
@@ -149,7 +149,7 @@ def test_hazards_are_markers_with_fixed_ids_sent_once():
         {"kind": "block", "center": [1.0, 2.0], "radius": 0.5},
         {"kind": "rough", "polygon": [[0, 0], [1, 0], [1, 1], [0, 1]]},
     ]
-    told = msgspec.convert(
+    ground = msgspec.convert(
         {
             "tick": 2,
             "columns": 2,
@@ -162,12 +162,12 @@ def test_hazards_are_markers_with_fixed_ids_sent_once():
         GroundMap,
     )
     view = _view()
-    first = _by_topic(told, view)
+    first = _by_topic(ground, view)
     assert first["/ground"].data.tolist() == [-1, 100]
     disc, polygon = first["/hazards"].markers
     assert (disc.id, disc.scale.x, disc.pose.position.y) == (0, 1.0, 2.0)
     assert len(polygon.points) == 6
-    again = _by_topic(msgspec.structs.replace(told, hazards=()), view)["/hazards"]
+    again = _by_topic(msgspec.structs.replace(ground, hazards=()), view)["/hazards"]
     assert [one.id for one in again.markers] == [0, 1]
 
 
@@ -185,19 +185,19 @@ def test_diagnostics_name_why_nothing_is_certified():
     assert parts["outrider: certificate uav_0"].level == 1
     lossy = parts["outrider: link uav_0/detections"]
     assert lossy.message == "message loss"
-    told = {one.key: one.value for one in lossy.values}
-    assert (told["sent"], told["delivered"], told["lost: chance"]) == ("9", "4", "5")
-    assert told["delivery_ratio"] == "0.444444"
+    value_of = {one.key: one.value for one in lossy.values}
+    assert (value_of["sent"], value_of["delivered"], value_of["lost: chance"]) == ("9", "4", "5")
+    assert value_of["delivery_ratio"] == "0.444444"
 
 
 def test_discs_and_sensors_stay_as_they_are():
-    told = _by_topic(None)
-    (sensor,) = told["/tf_static"].transforms
+    messages = _by_topic(None)
+    (sensor,) = messages["/tf_static"].transforms
     assert (sensor.header.frame_id, sensor.child_frame_id) == ("uav_0/base_link", "uav_0/sensor")
     rotation = sensor.transform.rotation
-    # Its x axis in the base_link: down.
+    # the sensor's x axis points down in base_link
     assert 2.0 * (rotation.x * rotation.z - rotation.w * rotation.y) == pytest.approx(-1.0)
-    assert all(one.frame_locked for one in told["/discs"].markers)
+    assert all(one.frame_locked for one in messages["/discs"].markers)
 
 
 def test_topics_are_unique_and_vehicle_topics_have_their_prefix():
