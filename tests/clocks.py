@@ -1,8 +1,8 @@
-"""A clock for the tests of what waits."""
+"""A clock for tests of time limits."""
 
 
 class Clock:
-    """Time that passes only when a test says so."""
+    """A clock that advances only when a test sets it."""
 
     def __init__(self) -> None:
         self.now = 0.0

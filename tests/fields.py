@@ -1,4 +1,4 @@
-"""The names of all that a message holds, for the tests of who is told what."""
+"""Names of all fields of a message, for the tests of the information contract."""
 
 from typing import get_args, get_type_hints
 
@@ -6,7 +6,7 @@ import msgspec
 
 
 def fields_within(kind: object, seen: set[object] | None = None) -> set[str]:
-    """Names of all fields of a message and of the structs inside it."""
+    """Return the names of all fields of a message and of the structs in it."""
     seen = set() if seen is None else seen
     if kind in seen:
         return set()

@@ -1,4 +1,4 @@
-"""Filters, their equations by hand and what they see, for the tests of the estimator."""
+"""Filters, their equations and simulated measurements, for the tests of the estimator."""
 
 import functools
 import math
@@ -37,18 +37,20 @@ SIGMA = 0.1
 UGV = Limits(max_speed=0.2, max_acceleration=0.1)
 
 
-FREE = Limits(max_speed=None, max_acceleration=0.1)  # no caps: the plain Kalman filter
+FREE = Limits(max_speed=None, max_acceleration=0.1)  # no bounds: the plain Kalman filter
 
 
-VARIANCE = truncated_variance(sigma=SIGMA, truncation=3.0)  # of the detections, per axis
+VARIANCE = truncated_variance(sigma=SIGMA, truncation=3.0)  # variance of a detection, per axis
 
 
-# a tick's acceleration to the state
+# maps the acceleration of a tick to the state
 PUSH = np.array([[DT * DT / 2, 0], [0, DT * DT / 2], [DT, 0], [0, DT]])
 
 
 def straying(*, elapsed: float, target: Limits, manoeuvre: float, dt: float) -> float:
-    """The largest way of a UGV of these bounds off its course in `elapsed` [s], [m]; see `strayed_distance`."""
+    """Return the largest deviation of a UGV with these limits from its motion after `elapsed` [s], [m]; see
+    `strayed_distance`.
+    """
     acceleration = assumed_acceleration(target=target, acceleration_share=manoeuvre, dt=dt)
     return strayed_distance(
         elapsed=float(elapsed), speed=float(target.max_speed), acceleration=float(acceleration)
@@ -61,7 +63,7 @@ def make(noise=SIGMA, cut=3.0, target=UGV, dt=DT, **chosen):
 
 
 class Filtered(NamedTuple):
-    """A filter at each tick of a flight."""
+    """The state of a filter at each tick of a run."""
 
     states: np.ndarray
     """(x, y, v_x, v_y). Shape (ticks, 4); NaN before the first detection."""
@@ -73,12 +75,12 @@ class Filtered(NamedTuple):
 
 
 @released
-def _filter(parameters, rows, own, arrived, looks, states, axes, innovations):
+def _filter(parameters, rows, own, arrived, detections, states, axes, innovations):
     p, depth = parameters[0], rows.shape[2] - 1
     for k in range(own.shape[0]):
         first, last = arrived[k], arrived[k + 1]
         here = Motion(own[k, 0], own[k, 1], 0.0, 0.0)
-        update(p, rows, (0, 0), k, here, looks[first:last], last - first)
+        update(p, rows, (0, 0), k, here, detections[first:last], last - first)
         now, prior = rows[0, 0, 0], rows[0, 0, 1 + k % depth]
         if now.known:
             states[k, 0], states[k, 1], states[k, 2], states[k, 3] = now.x, now.y, now.v_x, now.v_y
@@ -90,39 +92,41 @@ def _filter(parameters, rows, own, arrived, looks, states, axes, innovations):
 
 
 def filtered(own, at, noise=SIGMA, cut=3.0, target=UGV, dt=DT, **chosen) -> Filtered:
-    """A whole flight by the batches' filter, of which flights by the thousand cost nothing.
+    """Fly a whole run with the filter of the batches, which takes thousands of runs in little time.
 
-    Another test holds it against the pilots' filter; `pilots_filtered` flies the same by that.
+    Another test compares it with the pilots' filter; `pilots_filtered` flies the same run with that filter.
 
     Args:
-        own: The UAV at each tick. Shape (ticks, 2).
-        at: For each tick the looks that arrive then, by tick: rows of the tick taken and p_delta.
-        noise, cut, target, dt, chosen: As of `make`.
+        own: Position of the UAV at each tick. Shape (ticks, 2).
+        at: Detections that arrive at each tick, by tick: rows of the tick of detection and p_delta.
+        noise, cut, target, dt, chosen: Arguments of `make`.
     """
     detector, settings = Detector(noise=noise, truncation=cut, period=dt), Estimator(**chosen)
-    told = kalman_parameters(detector=detector, target=target, dt=dt, settings=settings)
-    parameters = records(KalmanParameters, [told])
+    filter_settings = kalman_parameters(detector=detector, target=target, dt=dt, settings=settings)
+    parameters = records(KalmanParameters, [filter_settings])
     rows = estimator_rows(history_depth(SPAN, dt))[None, None].copy()
     given = [at.get(k, ()) for k in range(len(own))]
     arrived = np.cumsum([0, *map(len, given)])
-    looks = np.array([row for some in given for row in some], dtype=float).reshape(-1, 3)
+    detections = np.array([row for some in given for row in some], dtype=float).reshape(-1, 3)
     states, axes = np.full((len(own), 4), math.nan), np.full((len(own), 2, 2), math.nan)
     innovations = np.full(len(own), math.nan)
     own = np.ascontiguousarray(own, dtype=float)
-    _filter(parameters, rows, own, arrived, looks, states, axes, innovations)
+    _filter(parameters, rows, own, arrived, detections, states, axes, innovations)
     return Filtered(states, np.kron(axes, np.eye(2)), innovations, rows["rejected"][0, 0, 0])
 
 
 def pilots_filtered(own, at, **chosen) -> Filtered:
-    """The same flight by the pilots' filter."""
+    """Fly the same run with the pilots' filter."""
     estimator, rejected, unknown = make(**chosen), 0, np.full((4, 4), math.nan)
     rows = [(unknown[0], unknown, math.nan)] * len(own)
     for k, place in enumerate(np.asarray(own).tolist()):
-        looks = tuple(Look(int(taken), x, y) for taken, x, y in at.get(k, ()))
-        estimate = estimator.update(tick=k, own_position=tuple(place), detections=looks)
+        received = tuple(Look(int(taken), x, y) for taken, x, y in at.get(k, ()))
+        estimate = estimator.update(tick=k, own_position=tuple(place), detections=received)
         if estimate:
             rejected = estimate.rejected - estimator.misdated
-            newest = estimator.innovation_squared if any(one.taken == k for one in looks) else None
+            newest = (
+                estimator.innovation_squared if any(one.taken == k for one in received) else None
+            )
             innovation = math.nan if newest is None else newest
             rows[k] = (estimator.state, estimator.covariance, innovation)
     states, covariances, innovations = map(np.array, zip(*rows, strict=True))
@@ -130,7 +134,7 @@ def pilots_filtered(own, at, **chosen) -> Filtered:
 
 
 def by_both(seed, own, at, **chosen) -> Filtered:
-    """A flight by the batches' filter; the first one, to be sure, by the pilots' too."""
+    """Fly a run with the filter of the batches, and for seed 0 also with the pilots' filter."""
     found = filtered(own, at, **chosen)
     if seed == 0:
         for ours, theirs in zip(found, pilots_filtered(own, at, **chosen), strict=True):
@@ -138,8 +142,8 @@ def by_both(seed, own, at, **chosen) -> Filtered:
     return found
 
 
-def look(estimator, tick, seen=None, own=(0.0, 0.0), dt=DT) -> Estimate | None:
-    """One call; `seen` is the detected position of the UGV in the world, or None."""
+def updated(estimator, tick, seen=None, own=(0.0, 0.0), dt=DT) -> Estimate | None:
+    """Update the estimator; `seen` is the detected position of the UGV in the world frame, or None."""
     detections = ()
     if seen is not None:
         detections = (
@@ -148,19 +152,19 @@ def look(estimator, tick, seen=None, own=(0.0, 0.0), dt=DT) -> Estimate | None:
     return estimator.update(tick=tick, own_position=own, detections=looks_of(detections, dt))
 
 
-def kept(flown):
-    """Each once, for many tests that fly the same: what it returns can only be read."""
+def cached(flown):
+    """Cache the results of a function as read-only arrays."""
 
     @functools.cache
-    def once(*given, **named):
+    def cached_call(*given, **named):
         states = flown(*given, **named)
         states.setflags(write=False)
         return states
 
-    return once
+    return cached_call
 
 
-@kept
+@cached
 def cut_noise(seed, count, sigma=SIGMA, cut=3.0):
     return np.array(
         [cut_normal_vector(sigma, cut, a_key(seed), DETECTION_NOISE, k, 0) for k in range(count)]
@@ -168,7 +172,7 @@ def cut_noise(seed, count, sigma=SIGMA, cut=3.0):
 
 
 def model(target=FREE, ticks=1):
-    """F and Q, added up tick by tick."""
+    """Return F and Q, accumulated tick by tick."""
     deviation = acceleration_deviation(
         target=target, acceleration_share=Estimator().acceleration_share, dt=DT
     )
@@ -181,7 +185,7 @@ def model(target=FREE, ticks=1):
 
 
 def drawn_from_the_model(rng, count):
-    """A UGV that moves as the filter supposes: its states. Shape (count, 4)."""
+    """Return the states of a UGV that moves by the model of the filter. Shape (count, 4)."""
     F, _ = model()
     deviation = acceleration_deviation(
         target=FREE, acceleration_share=Estimator().acceleration_share, dt=DT
@@ -193,21 +197,21 @@ def drawn_from_the_model(rng, count):
 
 
 def squared(errors, covariances):
-    """Normalized squares e' P^-1 e of many errors at once."""
+    """Return the normalized squares e' P^-1 e of many errors."""
     return np.einsum("...i,...i", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
 
 
 def within(average, degrees, count, sure=0.999):
-    """Return whether an average of `count` chi-squares lies in its two-sided interval; print both."""
+    """Return whether an average of `count` chi-square values lies in its two-sided interval; print both."""
     tail = 0.5 * (1.0 - sure)
     lower, upper = chi2.ppf([tail, 1.0 - tail], degrees * count) / count
     print(f"average {average:.4f}, interval [{lower:.4f}, {upper:.4f}]")  # noqa: T201
     return lower <= average <= upper
 
 
-@kept
+@cached
 def drive(seed, count, legs):
-    """A real UGV: straight legs at v_g,max, as fast as it may and as it can stop, a stop at each corner."""
+    """Return the states of a UGV on straight legs at v_g,max, with a stop at each corner."""
     rng = np.random.default_rng(seed)
     v_max, u_max = UGV.max_speed, UGV.max_acceleration
     corner, states = np.array([20.0, 20.0]), []
@@ -227,8 +231,8 @@ def drive(seed, count, legs):
 
 
 def converged(target=UGV, ticks=400, speed=0.1, **chosen):
-    """A filter that has followed a UGV along x for a while; the next tick is `ticks`."""
+    """Return a filter that has followed a UGV along x for `ticks`; the next tick is `ticks`."""
     estimator, noise = make(target=target, **chosen), cut_noise(9, ticks)
     for k in range(ticks):
-        look(estimator, k, (20.0 + speed * k * DT + noise[k, 0], 20.0 + noise[k, 1]))
+        updated(estimator, k, (20.0 + speed * k * DT + noise[k, 0], 20.0 + noise[k, 1]))
     return estimator

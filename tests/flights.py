@@ -1,4 +1,4 @@
-"""Scenarios for the tests of laws and worlds, and a UAV's law without its pilot."""
+"""Scenarios for the tests of laws and worlds, and the law of a UAV without its pilot."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -28,7 +28,7 @@ from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import Summary
-from seeded import a_told_key
+from seeded import key_text
 from sim.compiling.compile import FloatArray
 from sim.compiling.records import fresh, records
 from sim.engine.briefing import uav_briefing
@@ -43,18 +43,18 @@ R, R_V, DESIRED = 5.0, 4.75, 2.0
 R_O = R_V + R
 R_S = R_V - (V_A + V_G) ** 2 / (2.0 * U_A)
 DT = 0.05
-PROMISED = {"r_v": R_V, "v_a": V_A, "u_a": U_A, "v_g": V_G, "dt": DT}
-"""The declared numbers of a certificate for these vehicles, but for the detections."""
+DECLARED_BOUNDS = {"r_v": R_V, "v_a": V_A, "u_a": U_A, "v_g": V_G, "dt": DT}
+"""The declared bounds of a certificate for these vehicles, except those of the detections."""
 
 
 def certified(**numbers: float) -> SafetyBounds:
-    """Return the bounds for these vehicles; the numbers by the letters of docs/explanation/proof.md."""
-    n = PROMISED | {"eps": 0.0, "age": 1.0} | numbers
+    """Return the safety bounds for these vehicles; the arguments are the letters of docs/explanation/proof.md."""
+    n = DECLARED_BOUNDS | {"eps": 0.0, "age": 1.0} | numbers
     safety = SafetyParameters(
         max_measurement_error=n["eps"],
         max_measurement_age=n["age"],
         max_command_delay=n.get("delay", 0.0),
-        max_command_interval=n.get("outage", 0.0),
+        max_command_interval=n.get("interval", 0.0),
         max_tracking_error=n.get("tracking", 0.0),
         margin=n.get("margin", 0.0),
     )
@@ -65,38 +65,42 @@ def certified(**numbers: float) -> SafetyBounds:
 
 HERE = (20.0, 20.0)
 UAV, UGV = Uav(position=HERE), Ugv(position=HERE)
-"""The paper's vehicles, at rest in the middle of the paper's area."""
+"""The paper's vehicles at rest in the middle of the paper's area."""
 
 
 def escort(law="logarithmic", *, uav=UAV, ugv=UGV, **fields):
-    """One UAV that escorts one UGV; `fields` are the scenario's."""
+    """Return a scenario with one UAV that escorts one UGV, and these fields."""
     return Scenario(
         law=Law(name=law) if isinstance(law, str) else law, uav=(uav,), ugv=(ugv,), **fields
     )
 
 
 def pairs(uavs, ugvs, **fields):
-    """UAVs and UGVs at these places, or with these fields; uav_k escorts ugv_k unless its fields say otherwise."""
+    """Return UAVs and UGVs at these positions, or with these fields; by default, uav_k escorts ugv_k."""
     given = [[v if isinstance(v, dict) else {"position": v} for v in kind] for kind in (uavs, ugvs)]
     uav = (Uav(**{"name": f"uav_{k}", "escorts": f"ugv_{k}"} | v) for k, v in enumerate(given[0]))
     ugv = (Ugv(**{"name": f"ugv_{k}"} | v) for k, v in enumerate(given[1]))
     return Scenario(uav=(*uav,), ugv=(*ugv,), **fields)
 
 
-def uav_sees(tick: int, *looks: Any, **fields: Any) -> UavObservation:
-    """An observation of a UAV at rest in the middle, but for these fields; looks: when [s], and p_a - p_g [m]."""
-    detections = tuple(Detection(time=time, relative_position=place) for time, place in looks)
+def uav_sees(tick: int, *detections_of: Any, **fields: Any) -> UavObservation:
+    """Return an observation of a UAV at rest in the middle, with these fields; detections as time [s] and p_a - p_g
+    [m].
+    """
+    detections = tuple(
+        Detection(time=time, relative_position=place) for time, place in detections_of
+    )
     usual = {"time": tick * DT, "position": HERE, "velocity": (0.0, 0.0), "detections": detections}
     return UavObservation(tick=tick, **usual | fields)
 
 
-def told(scenario: Scenario, seed: int = 0) -> UavBriefing:
-    """The briefing of the scenario's UAV."""
+def briefing_of(scenario: Scenario, seed: int = 0) -> UavBriefing:
+    """Return the briefing of the scenario's UAV."""
     return uav_briefing(scenario, scenario.uav[0].name, seed)
 
 
-def told_ugv(**fields: Any) -> UgvBriefing:
-    """The briefing of the paper's UGV, which has a square of 20 m to itself, but for these fields."""
+def ugv_briefing(**fields: Any) -> UgvBriefing:
+    """Return the briefing of the paper's UGV in a square of 20 m, with these fields."""
     usual: dict[str, Any] = {
         "vehicle": "ugv_0",
         "dt": DT,
@@ -105,13 +109,13 @@ def told_ugv(**fields: Any) -> UgvBriefing:
         "driver": "waypoints",
         "goals": ((3.0, 4.0), (18.0, 1.0)),
         "goal_tolerance": 0.05,
-        "key": a_told_key(7),
+        "key": key_text(7),
     }
     return UgvBriefing(**usual | fields)
 
 
 class FlownLaw(NamedTuple):
-    """The law that a scenario's UAV flies, as compiled code takes it."""
+    """The law of a scenario's UAV, in the form for compiled code."""
 
     module: ModuleType
     uav: Any
@@ -119,29 +123,29 @@ class FlownLaw(NamedTuple):
     memory: Any
 
     def command(self, coverage: FloatArray, tick: int, own: Motion, target: Target) -> Any:
-        """The nominal command."""
+        """Return the nominal command."""
         return self.module.command(*self[1:], coverage, tick, own, target)
 
     def weights(self, distance: float) -> tuple[float, float]:
-        """Alpha and beta."""
+        """Return alpha and beta."""
         return self.module.weights(self.uav, self.law, distance)
 
 
 def flown_law(scenario: Scenario, **changes: Any) -> FlownLaw:
-    """The law of the scenario's UAV, whose constants are changed."""
+    """Return the law of the scenario's UAV with changed parameters."""
     module = import_module(LAWS[scenario.law.name].module)
-    (uav,) = records(UavParameters, [uav_parameters(told(scenario))._replace(**changes)])
+    (uav,) = records(UavParameters, [uav_parameters(briefing_of(scenario))._replace(**changes)])
     (law,) = records(module.Parameters, [law_parameters(scenario.law)])
     return FlownLaw(module, uav, law, fresh(module.Memory)[0])
 
 
 def target_at(x: float, y: float) -> Target:
-    """An estimate of the UGV at rest in this place."""
+    """Return an estimate of the UGV at rest at this position."""
     return Target(True, x, y, 0.0, 0.0, 0.0, 0.0)
 
 
 def tracks(flight: Flight) -> tuple[FloatArray, FloatArray]:
-    """p, v and u of the UAV and of the UGV of a flight with one of each, shape (rows, 6)."""
+    """Return p, v and u of the UAV and of the UGV at each tick. Shapes (rows, 6)."""
     states = flight.recorder.states
     return states[:, flight.world.names.index("uav_0")], states[
         :, flight.world.names.index("ugv_0")
@@ -149,12 +153,12 @@ def tracks(flight: Flight) -> tuple[FloatArray, FloatArray]:
 
 
 def distances(flight: Flight) -> FloatArray:
-    """The true distance at each tick [m]."""
+    """Return the true distance at each tick [m]."""
     return flight.recorder.escorts[:, 0, 0]
 
 
 def errors(flight: Flight) -> FloatArray:
-    """e(t) of (4) at each tick [m²]."""
+    """Return e(t) of (4) at each tick [m²]."""
     return flight.recorder.escorts[:, 0, 1]
 
 
@@ -168,7 +172,9 @@ def degraded(ticks: int, links: LinkTable = BAD) -> Scenario:
 
 
 def record(env, policies, observations):
-    """Fly to the end; position, velocity and applied acceleration of each tick, in the trajectory hash's order."""
+    """Fly to the end; return position, velocity and applied acceleration at each tick, in the order of the trajectory
+    hash.
+    """
     world, rows = env.unwrapped.world, []
     while env.agents:
         before = (world.position.copy(), world.velocity.copy())
@@ -184,7 +190,7 @@ def sha256(states):
 
 
 def flown_in_both(scenario: Scenario, seed: int) -> tuple[FloatArray, Flight, Summary]:
-    """The states of a flight in the environment, and the same flight as a run: they fly the same bits."""
+    """Fly a scenario in the environment and as a run, and check that the bits are the same."""
     env = parallel_env(scenario, end_on_sight_lost=False)
     states = record(env, pilots(env), env.reset(seed=seed)[0])
     flight, summary = fly(scenario, seed)
@@ -193,7 +199,7 @@ def flown_in_both(scenario: Scenario, seed: int) -> tuple[FloatArray, Flight, Su
 
 
 class Piloted(InProcess):
-    """The pilots, but one vehicle's observations are answered by a program of somebody's own."""
+    """The pilots, with a function of the test in place of one vehicle's pilot."""
 
     def __init__(self, pilots: Mapping[str, Pilot], vehicle: str, act: Callable[[Any], Command]):
         super().__init__({name: pilot for name, pilot in pilots.items() if name != vehicle})
@@ -208,7 +214,7 @@ class Piloted(InProcess):
 
 
 def flown_by(pilot: Any, scenario: Scenario, act: Callable[[Any], Command]) -> Flight:
-    """A flight with seed 0 whose UAV this pilot flies: it is briefed, and then `act` asks it."""
+    """Fly a run with seed 0 whose UAV is flown by this pilot: brief it, then call `act` at each tick."""
     flight = Flight(scenario, 0)
     pilot.make(uav_briefing(scenario, "uav_0", 0))
     flight.fly(Piloted(make_pilots(scenario, 0), "uav_0", act))
@@ -218,10 +224,10 @@ def flown_by(pilot: Any, scenario: Scenario, act: Callable[[Any], Command]) -> F
 def altered(
     pilots: Mapping[str, Pilot], vehicle: str, change: Callable[[Any], dict[str, Any]]
 ) -> Piloted:
-    """The pilots, but some fields of one vehicle's commands are others, which go by its observation."""
+    """Return the pilots with changed fields in one vehicle's commands, depending on its observation."""
     act = pilots[vehicle].act
     return Piloted(pilots, vehicle, lambda seen: msgspec.structs.replace(act(seen), **change(seen)))
 
 
 EVADED = ("law.name=certified", "ugv.0.driver=evade", "duration=10.0")
-"""Changes of a scenario: a certified flight past a UGV that evades."""
+"""Overrides of a scenario: a certified run with an evading UGV."""

@@ -1,6 +1,6 @@
-"""Garbage for the tests of the bus.
+"""Invalid messages for the tests of the bus.
 
-Mutations of real messages, from seeds, and whether a value is what its type allows.
+Seeded mutations of real messages, and a check that a value fits its type.
 """
 
 import base64
@@ -18,11 +18,11 @@ from bus.keys import KEYS, Key
 from tabular import words
 
 REFUSALS = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
-"""The errors that `Inbox` takes for a refusal; a decoder that raises anything else stops its reader."""
+"""The errors that `Inbox` treats as an undecodable message; any other error ends its reader."""
 
 
 def valid(kind: Any, rng: random.Random) -> Any:
-    """A plain value that a type allows, now and then at the edge of what it allows."""
+    """Return a plain value that a type allows, sometimes at the edge of the allowed range."""
     match kind:
         case kinds.StructType(array_like=True):
             return [valid(part.type, rng) for part in kind.fields]
@@ -115,25 +115,25 @@ def allowed(value: Any, kind: Any) -> bool:
     raise AssertionError(f"no check for {kind}")
 
 
-def says(value: Any, told: Any) -> bool:
-    """Return whether a decoded value equals what Python's own JSON reader finds in its payload.
+def matches(value: Any, parsed: Any) -> bool:
+    """Return whether a decoded value equals the result of Python's own JSON parser.
 
-    A field that is not told is free.
+    A field that is not in the payload may have any value.
     """
-    if isinstance(value, msgspec.Struct) and isinstance(told, list):
-        return all(map(says, msgspec.structs.astuple(value), told))
+    if isinstance(value, msgspec.Struct) and isinstance(parsed, list):
+        return all(map(matches, msgspec.structs.astuple(value), parsed))
     if isinstance(value, msgspec.Struct):
-        known = told.keys() <= set(value.__struct_fields__)
-        return known and all(says(getattr(value, name), part) for name, part in told.items())
+        known = parsed.keys() <= set(value.__struct_fields__)
+        return known and all(matches(getattr(value, name), part) for name, part in parsed.items())
     if isinstance(value, dict):
-        return value.keys() == told.keys() and all(
-            says(value[name], part) for name, part in told.items()
+        return value.keys() == parsed.keys() and all(
+            matches(value[name], part) for name, part in parsed.items()
         )
     if isinstance(value, tuple):
-        return len(value) == len(told) and all(map(says, value, told))
+        return len(value) == len(parsed) and all(map(matches, value, parsed))
     if isinstance(value, bytes):
-        return value == base64.b64decode(told, validate=True)
-    return bool(value == (float(told) if isinstance(value, float) else told))
+        return value == base64.b64decode(parsed, validate=True)
+    return bool(value == (float(parsed) if isinstance(value, float) else parsed))
 
 
 NUMBER = re.compile(rb"(?<=[:\[,])-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?(?=[,\]}])")
@@ -158,8 +158,8 @@ LONG_TEXT = [
 Mutation = Callable[[bytes, bytes, random.Random], bytes]
 
 
-def place(payload: bytes, rng: random.Random) -> tuple[int, int]:
-    """A piece of a payload."""
+def random_range(payload: bytes, rng: random.Random) -> tuple[int, int]:
+    """Return a random range of a payload."""
     begin = rng.randrange(len(payload) + 1)
     return begin, min(len(payload), begin + rng.choice([1, 1, 2, 5, 20]))
 
@@ -172,18 +172,18 @@ def flip(payload: bytes, _other: bytes, rng: random.Random) -> bytes:
 
 
 def delete(payload: bytes, _other: bytes, rng: random.Random) -> bytes:
-    begin, end = place(payload, rng)
+    begin, end = random_range(payload, rng)
     return payload[:begin] + payload[end:]
 
 
 def insert(payload: bytes, _other: bytes, rng: random.Random) -> bytes:
-    begin, _ = place(payload, rng)
+    begin, _ = random_range(payload, rng)
     noise = [rng.randbytes(3), *(b" ", b"\n", b",", b"]", b'"', b"0", b"9", b"\\")]
     return payload[:begin] + rng.choice(noise) + payload[begin:]
 
 
 def duplicate(payload: bytes, _other: bytes, rng: random.Random) -> bytes:
-    begin, end = place(payload, rng)
+    begin, end = random_range(payload, rng)
     return payload[:end] + payload[begin:]
 
 
@@ -229,7 +229,7 @@ def parts_of(branch: Any) -> Any:
 
 
 def fields(payload: bytes, other: bytes, rng: random.Random) -> bytes:
-    """One field of one object removed, renamed, doubled, added, or one of another message put in its place."""
+    """Remove, rename, duplicate or add a field of an object, or replace it by a field of another message."""
     tree = msgspec.json.decode(payload)
     branch = tree
     while below := [part for part in parts_of(branch) if part and type(part) in HOLDERS]:
@@ -266,7 +266,7 @@ BY_MEANING: tuple[Mutation, ...] = (number, string, nest, fields, fields)
 
 @cache
 def real_messages(key: Key) -> tuple[bytes, ...]:
-    """Encoded messages of one row, as its writer sends them."""
+    """Return encoded messages of a key, as its writer sends them."""
     rng = random.Random(key.message.__name__)
     decoder, kind = msgspec.json.Decoder(key.message), kinds.type_info(key.message)
     return tuple(
@@ -276,7 +276,7 @@ def real_messages(key: Key) -> tuple[bytes, ...]:
 
 
 def mutated(key: Key, rng: random.Random) -> bytes:
-    """A real message, or one that was; the second change, if any, knows no JSON."""
+    """Return a real message or a mutated one; a possible second mutation works on bytes."""
     payload, other = rng.choice(real_messages(key)), rng.choice(real_messages(rng.choice(KEYS)))
     kind = rng.random()
     if kind < 0.05:

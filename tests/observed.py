@@ -1,4 +1,4 @@
-"""Recordings for the tests: of a flight in this process, and of a run whose messages are put in by hand."""
+"""Recordings for the tests: of a run in this process, and of messages that a test provides."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ def recorded(
     secret: str = "",
     exchange: Exchange | None = None,
 ) -> Flight:
-    """Such a flight; of the pilots, and with the scenario's own seed, unless there are others."""
+    """Record a run; by default with the pilots and the scenario's seed."""
     seed = scenario.seed if seed is None else seed
     recorder = FlightRecorder(path, scenario, seed, secret=secret)
     flight = Flight(scenario, seed, secret=secret)
@@ -32,16 +32,16 @@ def recorded(
 
 
 class Observer:
-    """An observer's recorder, which writes into this file what is put into its inboxes."""
+    """A recorder of an observer that writes the messages of its inboxes into this file."""
 
     def __init__(self, file: Any, scenario: Scenario | None) -> None:
         boxes = self._boxes = {key: Box() for key in (TRUTH, COVERAGE, GROUND, STATUS)}
         session: Any = SimpleNamespace(inbox=lambda key, newest: boxes[key])
         self.recorder = RunRecorder(session, file, scenario)
 
-    def take(self, flight: Flight, **told: Any) -> None:
-        """Be told how the flight is, in a status with these fields."""
+    def receive(self, flight: Flight, **fields: Any) -> None:
+        """Receive a status with these fields, and the truth of the run."""
         of_the_flight = {"scenario": flight.scenario.name, "seed": flight.seed}
         self._boxes[TRUTH].messages.append(flight.truth())
-        self._boxes[STATUS].messages.append(a_status(**of_the_flight | told))
+        self._boxes[STATUS].messages.append(a_status(**of_the_flight | fields))
         self.recorder.record(0.0)

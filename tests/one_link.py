@@ -10,7 +10,7 @@ from sim.models.randomness import Key
 
 
 class OneLink:
-    """The only link of `Links`."""
+    """The only link of a `Links`."""
 
     def __init__(
         self, settings: LinkSettings, *, dt: float, key: Key, traces: Sequence[RecordedLink] = ()

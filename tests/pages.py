@@ -28,5 +28,5 @@ def marked(mark: str, page: str) -> list[list[str]]:
 
 
 def run_shown(block: str, page: str) -> None:
-    """Run a block of a page."""
+    """Execute a block of a page."""
     exec(compile(block, page, "exec"), {})  # noqa: S102 - our own page

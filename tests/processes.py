@@ -1,4 +1,4 @@
-"""Runs with real processes, for the tests: starting them, looking at them, and what they leave behind."""
+"""Runs with real processes, for the tests: starting, watching, and cleaning up."""
 
 import json
 import random
@@ -30,12 +30,12 @@ OUTRIDER = [sys.executable, "-m", "outrider"]
 def outrider(
     *arguments: str, timeout: float = 120.0, **settings: Any
 ) -> "subprocess.CompletedProcess[str]":
-    """A command of ours, come to its end.
+    """Run an outrider command and return its result.
 
     Args:
-        arguments: Of the command line.
-        timeout: How long it may take [s].
-        settings: As of `subprocess.Popen`.
+        arguments: Command-line arguments.
+        timeout: Time limit [s].
+        settings: Further arguments of `subprocess.Popen`.
     """
     with subprocess.Popen([*OUTRIDER, *arguments], **PIPES, **settings) as process:
         try:
@@ -52,19 +52,19 @@ PIPES: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "
 def ran(
     command: Sequence[str | Path], *, check: bool = False, **settings: Any
 ) -> "subprocess.CompletedProcess[str]":
-    """A command of whatever kind, come to its end."""
+    """Run any command and return its result."""
     return subprocess.run(command, capture_output=True, text=True, check=check, **settings)
 
 
 def python(
     code: str, *arguments: str, check: bool = True, **settings: Any
 ) -> "subprocess.CompletedProcess[str]":
-    """The result of this code in an interpreter of its own, which has loaded nothing."""
+    """Run code in a fresh interpreter and return its result."""
     return ran([sys.executable, "-c", code, *arguments], check=check, **settings)
 
 
 def loaded_by(modules: str) -> set[str]:
-    """All that an interpreter of its own has loaded when it has imported these modules."""
+    """Return all modules that a fresh interpreter loads to import these modules."""
     return set(python(f"import sys, {modules}; print(*sys.modules)").stdout.split())
 
 
@@ -78,7 +78,7 @@ def run_json(*arguments: str) -> dict[str, object]:
 def flown_both_ways(
     name: str, *changes: str, seed: int | None = None
 ) -> tuple[dict[str, Any], Summary]:
-    """The summaries of a run over three processes, and of the same in this one: they fly the same bits."""
+    """Fly a run with three processes and in this one, check that the bits are the same, and return both summaries."""
     scenario = load_scenario(name, overrides=changes)
     seed = scenario.seed if seed is None else seed
     _, here = fly(scenario, seed)
@@ -92,7 +92,7 @@ SHORT = load_scenario("escort", overrides=["duration=1.0"])
 """The scenario of a run that this process launches."""
 
 
-NOBODY = launch.Watcher(
+SILENT = launch.Watcher(
     on_tick=lambda _tick: None,
     on_event=lambda _line: None,
     on_warnings=lambda _lines: None,
@@ -101,14 +101,14 @@ NOBODY = launch.Watcher(
 
 
 def launched(
-    watcher: launch.Watcher = NOBODY, *, scenario: Scenario = SHORT, **settings: Any
+    watcher: launch.Watcher = SILENT, *, scenario: Scenario = SHORT, **settings: Any
 ) -> launch.Outcome:
-    """The outcome of such a run over three processes."""
+    """Launch a run with three processes and return its outcome."""
     return launch.launch(scenario, watcher, Output(), **settings)
 
 
 def children_of(pid: int) -> list[int]:
-    """Children of a process, by the kernel's own list."""
+    """Return the children of a process, from the kernel's list."""
     text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii")
     return [int(child) for child in text.split()]
 
@@ -123,18 +123,18 @@ def free_port() -> int:
 
 
 def kind_of(pid: int) -> str:
-    """The command that a process of a run flies; empty for another."""
+    """Return the outrider command of a process; empty for another program."""
     words = command_line(pid).split()
     return words[words.index("outrider") + 1] if "outrider" in words else ""
 
 
 def family(pid: int) -> list[int]:
-    """The processes of a run that have started."""
+    """Return the started processes of a run."""
     return [child for child in children_of(pid) if kind_of(child)]
 
 
 def stat_of(pid: int) -> list[str]:
-    """The kernel's status of a process: its state, its parent, its group, its session, and more."""
+    """Return the kernel's status of a process: state, parent, group, session, and more."""
     text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii")
     return text.rpartition(")")[2].split()
 
@@ -146,16 +146,16 @@ def alive(pid: int) -> bool:
         return False
 
 
-def wait_until(condition, seconds=30.0, told=lambda: "waited in vain"):
+def wait_until(condition, seconds=30.0, failure=lambda: "waited in vain"):
     limit = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < limit, told()
+        assert time.monotonic() < limit, failure()
         time.sleep(0.02)
 
 
 @contextmanager
 def joined(run: "subprocess.Popen[str]", role: Role) -> Iterator[Session]:
-    """A session of an observer or operator on the bus of a run."""
+    """Open a session of an observer or operator on the bus of a run."""
     words = command_line(child_of(run, "simulator")).split()
     endpoint, name = (words[words.index(option) + 1] for option in ("--listen", "--run"))
     path = Path(endpoint.removeprefix("unixsock-stream/"))
@@ -166,19 +166,19 @@ def joined(run: "subprocess.Popen[str]", role: Role) -> Iterator[Session]:
 
 
 def observing(run: "subprocess.Popen[str]") -> AbstractContextManager[Session]:
-    """An observer's session on the bus of a run."""
+    """Open an observer's session on the bus of a run."""
     return joined(run, Role.OBSERVER)
 
 
 def await_status(
     session: Session, wanted: Callable[[Status], Any], seconds: float = 60.0
 ) -> Status:
-    """The first status from now on that is as wanted."""
+    """Return the first new status that fulfils a condition."""
     return status_in(session.inbox(STATUS), wanted, seconds)
 
 
 def status_in(inbox: Any, wanted: Callable[[Status], Any], seconds: float) -> Status:
-    """The first in an inbox of statuses that is as wanted."""
+    """Return the first status in an inbox that fulfils a condition."""
     limit = time.monotonic() + seconds
     last: Status | None = None
     while time.monotonic() < limit:
@@ -191,20 +191,20 @@ def status_in(inbox: Any, wanted: Callable[[Status], Any], seconds: float) -> St
 
 
 def fly_to(operator: Session, tick: int) -> None:
-    """Let a run that has not begun fly so far, hold it there until that is known, and let it go on."""
+    """Fly a run that has not started to this tick, pause it until that is confirmed, and resume it."""
     controls = operator.outbox(CONTROL)
-    compiled = 180.0  # s: what compiling from an empty cache takes beside other tests
-    wait_until(lambda: controls.wanted, compiled)  # the simulator is there to be told
+    compiled = 180.0  # s: compiling from an empty cache, beside other tests
+    wait_until(lambda: controls.wanted, compiled)  # the simulator receives controls
     controls.send(Control(action=Action.STEP, ticks=tick))
     await_status(operator, lambda status: status.paused and status.tick >= tick, compiled)
     controls.send(Control(action=Action.RESUME))
-    # else a router that dies takes it away
+    # otherwise a dying router could lose the control
     await_status(operator, lambda status: not status.paused)
 
 
 @contextmanager
 def started(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
-    """A command of ours in the background, killed in the end if it still lives."""
+    """Run an outrider command in the background; kill it at the end."""
     process = subprocess.Popen([*OUTRIDER, *arguments], **PIPES)
     try:
         yield process
@@ -219,9 +219,9 @@ def started(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
 
 @contextmanager
 def flying(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
-    """A run in the background that is under way: all its processes are there and it has flown 20 ticks.
+    """Run a simulation in the background that has flown 20 ticks with all processes.
 
-    It is held there, so that nothing of it is over when the test begins, and goes on with the test.
+    It pauses at that tick until the test starts.
     """
     with started("run", *arguments) as run:
         wait_until(lambda: "simulator" in map(kind_of, family(run.pid)))
@@ -231,7 +231,7 @@ def flying(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
 
 
 def command_line(pid: int) -> str:
-    """Its words, with a blank between two; empty for one that has ended."""
+    """Return the command line of a process, joined by blanks; empty if it has ended."""
     try:
         return Path(f"/proc/{pid}/cmdline").read_bytes().rstrip(b"\0").replace(b"\0", b" ").decode()
     except (FileNotFoundError, ProcessLookupError):

@@ -20,25 +20,25 @@ _SLOPE = {  # dS/d(rho²)
 
 
 def centres(coverage: FloatGrid, cell: float) -> tuple[FloatGrid, FloatGrid]:
-    """X and y of the cells' centres [m], each in the shape of the grid."""
+    """Return x and y of the cell centres [m], each in the shape of the grid."""
     rows, columns = coverage.shape
     x, y = np.meshgrid((np.arange(columns) + 0.5) * cell, (np.arange(rows) + 0.5) * cell)
     return x, y
 
 
 def distances(coverage: FloatGrid, p_x: float, p_y: float, cell: float) -> FloatGrid:
-    """Distance of each cell's centre from a point [m]."""
+    """Return the distance of each cell centre from a point [m]."""
     x, y = centres(coverage, cell)
     return np.sqrt((x - p_x) ** 2 + (y - p_y) ** 2)
 
 
 def sensor_quality(sensor: int, rho: FloatGrid, peak: float, reach: float) -> FloatGrid:
-    """S of (2) at the distances rho [m]."""
+    """Return S of (2) at the distances rho [m]."""
     return np.where(rho <= reach, _QUALITY[sensor](rho, peak, reach), 0.0)
 
 
 def density(rho: FloatGrid, r_o: float) -> FloatGrid:
-    """Phi of (9) at the distances rho [m]."""
+    """Return phi of (9) at the distances rho [m]."""
     return np.where(rho <= r_o, np.cos(rho / r_o * np.pi) + 1.0, 0.0)
 
 
@@ -52,7 +52,7 @@ def accumulate(
     cell: float,
     duration: float,
 ) -> FloatGrid:
-    """(3): C after one look; arguments as in `sim.models.field.accumulate`, but C is not changed."""
+    """Return C after one sensing step, (3); arguments as in `sim.models.field.accumulate`, but C is not changed."""
     return (
         coverage
         + sensor_quality(sensor, distances(coverage, p_x, p_y, cell), peak, reach) * duration
@@ -62,7 +62,7 @@ def accumulate(
 def coverage_error(
     coverage: FloatGrid, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float
 ) -> float:
-    """(4): e(t) [m²]; arguments as in `sim.models.field.coverage_error`."""
+    """Return e(t) [m²], (4); arguments as in `sim.models.field.coverage_error`."""
     phi = density(distances(coverage, p_gx, p_gy, cell), r_o)
     return float((np.maximum(0.0, desired - coverage) ** 2 * phi).sum() * cell**2)
 
@@ -80,7 +80,7 @@ def coverage_gradient(
     reach: float,
     cell: float,
 ) -> tuple[float, float]:
-    """(6): u_cov with k = 1; arguments as in `sim.models.field.coverage_gradient`."""
+    """Return u_cov with k = 1, (6); arguments as in `sim.models.field.coverage_gradient`."""
     x, y = centres(coverage, cell)
     rho = distances(coverage, p_ax, p_ay, cell)
     slope = np.where(rho <= reach, 2.0 * _SLOPE[sensor](rho, peak, reach), 0.0)

@@ -1,4 +1,4 @@
-"""Checks that a scenario, or whatever else, is refused in one line."""
+"""Checks that a scenario or other input is refused in one line."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,11 +17,11 @@ figure-3-linear figure-3-logarithmic figure-3-switching minefield rescue rubble 
 """)
 )
 SMALL = "[[uav]]\nposition = [6.0, 21.0]\n[[ugv]]\nposition = [6.0, 20.0]\ngoals = [[34.0, 20.0]]\n"
-"""As little as a scenario needs."""
+"""The smallest valid scenario."""
 
 
 def refusal(source="escort", overrides=()) -> str:
-    """The one line with which a scenario is refused."""
+    """Return the line with which a scenario is refused."""
     with pytest.raises(ScenarioError) as caught:
         load_scenario(source, overrides=overrides)
     line = str(caught.value)
@@ -38,7 +38,7 @@ def written(folder: Path, content: bytes) -> Path:
 
 @contextmanager
 def refused(kind: type[Exception], words: str) -> Iterator["pytest.ExceptionInfo[Exception]"]:
-    """Expect such an error from what is done in here, whose one line has a match of these words."""
+    """Expect an error of this kind whose single line matches these words."""
     with pytest.raises(kind, match=words) as caught:
         yield caught
     assert "\n" not in str(caught.value)

@@ -1,4 +1,4 @@
-"""The processes of a run, each started by hand around a router of its own, for the tests."""
+"""Processes of a run, started one by one around a router, for the tests."""
 
 import socket
 import subprocess
@@ -14,11 +14,11 @@ from bus.session import Session
 from processes import fly_to, free_port, started, wait_until
 
 SECONDS = 200.0
-"""Simulated time of a run that is disturbed while it is flown: 4,000 ticks, about a second."""
+"""Simulated time of a run that is disturbed: 4,000 ticks, about a second of wall time."""
 
 
 SECRET = bytes(range(16)).hex()
-"""Secret of the runs whose processes are started by hand; otherwise, their simulator would create one."""
+"""Secret of the runs whose processes are started one by one; otherwise, the simulator would create one."""
 
 
 def answers(port: int) -> bool:
@@ -27,7 +27,7 @@ def answers(port: int) -> bool:
 
 
 class Scattered:
-    """The processes of a run, each started by hand, around a router of its own."""
+    """The processes of a run, started one by one, around a router of its own."""
 
     def __init__(self, folder: Path, stack: ExitStack) -> None:
         self._stack = stack
@@ -49,14 +49,14 @@ class Scattered:
         return router
 
     def simulator(self, *arguments: str) -> "subprocess.Popen[str]":
-        told = ("escort", "--duration", str(SECONDS), "--secret", SECRET, "--json")
-        return self.start("simulator", *told, *arguments)
+        options = ("escort", "--duration", str(SECONDS), "--secret", SECRET, "--json")
+        return self.start("simulator", *options, *arguments)
 
     def vehicles(self, *arguments: str) -> "list[subprocess.Popen[str]]":
         return [self.start(name[:3], *arguments, name=name) for name in ("uav_0", "ugv_0")]
 
     def client(self, name: str) -> Session:
-        """A session of this party, for as long as the run lasts."""
+        """Open a session of this party until the end of the run."""
         credential = read_credential(Path(self._files[name]))
         return self._stack.enter_context(
             open_session(credential.party, "mine", connect=self.endpoint, credential=credential)
@@ -67,12 +67,12 @@ class Scattered:
         return self.client("operator")
 
     def await_simulator(self) -> None:
-        """Vehicles that are not patient are to find it there."""
+        """Wait for the simulator, for vehicles that do not wait themselves."""
         controls = self.operator.outbox(CONTROL)
         wait_until(lambda: controls.wanted)
 
     def fly_to(self, tick: int) -> None:
-        """Let the run come so far, and go on."""
+        """Fly the run to this tick, and let it continue."""
         fly_to(self.operator, tick)
 
 

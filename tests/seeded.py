@@ -1,4 +1,4 @@
-"""Keys of random numbers for the tests, by a small number."""
+"""Random keys for the tests, from a small number."""
 
 import numpy as np
 
@@ -6,10 +6,10 @@ from sim.models.randomness import Key
 
 
 def a_key(number: int, other: int = 0) -> Key:
-    """As compiled functions take it."""
+    """Return a key as compiled functions read it."""
     return np.uint64(number), np.uint64(other)
 
 
-def a_told_key(number: int) -> str:
-    """The same as a briefing carries it."""
+def key_text(number: int) -> str:
+    """Return the same key as a briefing contains it."""
     return number.to_bytes(16, "little").hex()

@@ -1,7 +1,7 @@
 """A server and its vehicles as threads of this process, with real sessions, for the tests.
 
-The real loop and the real pilots, or programs of somebody's own; and what a router lets through of what raw sessions
-say.
+The vehicles run the real loop with the real pilots, or programs of the test. Raw sessions show what a router lets
+through.
 """
 
 import threading
@@ -39,21 +39,21 @@ PILOT = {"uav_0": UavPilot, "ugv_0": UgvPilot}
 def hosted(
     endpoint: str, given: CredentialSet = GIVEN, name: str = "simulator"
 ) -> AbstractContextManager[Session]:
-    """A router that is this party, and lets in whoever has credentials."""
+    """Open a router as this party that admits clients with credentials."""
     return open_session(given.of(name).party, given.run, listen=(endpoint,), given=given)
 
 
 def client_of(endpoint: str, credential: Credential) -> AbstractContextManager[Session]:
-    """A client with its credentials."""
+    """Open a client with its credentials."""
     return open_session(credential.party, "run", connect=endpoint, credential=credential)
 
 
-class Gone(Exception):
-    """A vehicle's process that ends without a word."""
+class Vanished(Exception):
+    """Raised to end a vehicle's process without notice."""
 
 
 class _Threaded(ABC):
-    """Runs in a thread of its own from its construction on."""
+    """A thread that runs from its construction on."""
 
     def __init__(self) -> None:
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -65,15 +65,15 @@ class _Threaded(ABC):
 
     @abstractmethod
     def _run(self) -> None:
-        """Is run in the thread."""
+        """The body of the thread."""
 
 
 class Program(_Threaded):
-    """A program of somebody's own that flies a vehicle.
+    """A program of the test that flies a vehicle.
 
     Args:
-        session: The vehicle's.
-        answer: Called with the place of its commands and the tick of each observation.
+        session: The vehicle's session.
+        answer: Called with the outbox of its commands and the tick of each observation.
     """
 
     def __init__(self, session: Session, answer: Callable[[Any, int], None]) -> None:
@@ -97,18 +97,25 @@ class Vehicle(_Threaded):
     """A vehicle's process as a thread: the real loop and the real pilot, watched.
 
     Args:
-        endpoint: Of the router.
+        endpoint: Endpoint of the router.
         name: The vehicle.
-        until: It is gone once this tick has been answered.
-        heir: Called once it is gone.
+        until: The last tick that it answers.
+        successor: Called when it has ended.
         on_tick: Called with each tick before it acts.
     """
 
-    def __init__(self, endpoint, name, until=None, on_tick=lambda _tick: None, heir=lambda: None):
+    def __init__(
+        self, endpoint, name, until=None, on_tick=lambda _tick: None, successor=lambda: None
+    ):
         self.name = name
         self.seen: list[Any] = []
-        """All it has acted on, its past first."""
-        self._endpoint, self._until, self._on_tick, self._heir = endpoint, until, on_tick, heir
+        """All observations, its past first."""
+        self._endpoint, self._until, self._on_tick, self._successor = (
+            endpoint,
+            until,
+            on_tick,
+            successor,
+        )
         super().__init__()
 
     def _run(self) -> None:
@@ -121,24 +128,24 @@ class Vehicle(_Threaded):
                 run="run",
                 credential=credential,
             )
-        except Gone:
-            self._heir()
+        except Vanished:
+            self._successor()
 
-    def _make(self, told: Any) -> "Vehicle":
-        self._pilot = PILOT[self.name](told)
+    def _make(self, briefing: Any) -> "Vehicle":
+        self._pilot = PILOT[self.name](briefing)
         self.seen.clear()
         return self
 
     def act(self, observation: Any) -> Any:
         self._on_tick(observation.tick)
         if self._until is not None and observation.tick > self._until:
-            raise Gone
+            raise Vanished
         self.seen.append(observation)
         return self._pilot.act(observation)
 
 
 class Stage:
-    """A server, and what it says; its router may know nobody, and let everybody in."""
+    """A server and its events; an open router admits every client."""
 
     def __init__(
         self, stack: ExitStack, folder: Path, scenario: Scenario, *, is_open: bool, **options: Any
@@ -163,20 +170,20 @@ class Stage:
         self._stack = stack
 
     def start(self, name, *, until=None, again=False, on_tick=lambda _tick: None):
-        """Start a vehicle; one that is gone `again` has another in its place at once."""
+        """Start a vehicle; with `again`, another one replaces it when it has ended."""
 
-        def heir() -> None:
+        def successor() -> None:
             if again:
                 self.start(name)
 
-        self.vehicles.append(Vehicle(self.endpoint, name, until, on_tick, heir))
+        self.vehicles.append(Vehicle(self.endpoint, name, until, on_tick, successor))
         return self.vehicles[-1]
 
     def start_both(self) -> list[Vehicle]:
         return [self.start("uav_0"), self.start("ugv_0")]
 
     def program(self, name: str, answer: Callable[[Any, int], None]) -> Program:
-        """Start a program of somebody's own in a vehicle's place."""
+        """Start a program of the test as a vehicle."""
         self.vehicles.append(Program(self.client(name), answer))
         return self.vehicles[-1]
 
@@ -192,7 +199,7 @@ class Stage:
         *,
         operator: Callable[[Any, Any], None] | None = None,
     ) -> Flight:
-        """Fly to the end; meanwhile an operator works, who can send a control and await a status."""
+        """Fly to the end; meanwhile an operator may send controls and await a status."""
         with ThreadPoolExecutor(1) as threads:
             work = operator and threads.submit(self._operate, self.client("operator"), operator)
             flight = self.server.fly(on_tick=on_tick)
@@ -220,44 +227,46 @@ def stage(folder, ticks, *, scenario=None, is_open=False, **options):
 
 
 def raw_session(endpoint: str, credential: Credential | None, **settings: Any) -> zenoh.Session:
-    """A session that asks nobody's leave and does not say whose it is."""
+    """Open a session without the checks of our API."""
     own = {name.replace("__", "/"): value for name, value in settings.items()}
     known = joining._COMMON | joining._CLIENT | client_settings(credential)
     return zenoh.open(joining._config(known | {"connect/endpoints": [endpoint]} | own))
 
 
 def zenoh_of(session: Session) -> zenoh.Session:
-    """Return the raw session below ours, which asks nobody's leave."""
+    """Return the raw session below ours, without its checks."""
     return session._zenoh
 
 
 @contextmanager
-def everybody(
+def raw_sessions(
     endpoint: str, given: CredentialSet, names: Iterable[str], router: str = "simulator"
 ) -> Iterator[dict[str, zenoh.Session]]:
-    """A router, and a raw session for each of these parties."""
+    """Open a router, and a raw session for each of these parties."""
     with ExitStack() as stack:
         stack.enter_context(hosted(endpoint, given, router))
         yield {name: stack.enter_context(raw_session(endpoint, given.of(name))) for name in names}
 
 
 Received = set[tuple[str, str, str]]
-"""Reader, key and what was said."""
+"""Reader, key and message."""
 
 
-def listening(
+def subscribed(
     opened: zenoh.Session, name: str, expressions: Iterable[str], received: Received
 ) -> list[object]:
-    """Let a party keep all that comes by these keys, for as long as what is returned is kept."""
+    """Record what a party receives by these keys, until the returned subscribers are dropped."""
 
-    def keep(sample: zenoh.Sample) -> None:
+    def record_sample(sample: zenoh.Sample) -> None:
         received.add((name, str(sample.key_expr), sample.payload.to_string()))
 
-    return [opened.declare_subscriber(expression, keep) for expression in expressions]
+    return [opened.declare_subscriber(expression, record_sample) for expression in expressions]
 
 
-def settled(wanted: set[Any], found: set[Any], step: Callable[[], object] = lambda: None) -> None:
-    """Repeat a step until all that is wanted has come, and for some time more what must not."""
+def await_exactly(
+    wanted: set[Any], found: set[Any], step: Callable[[], object] = lambda: None
+) -> None:
+    """Repeat a step until everything expected has arrived, and a little longer for anything unexpected."""
     limit = time.monotonic() + 20.0
     while not found >= wanted and time.monotonic() < limit:
         step()
@@ -268,6 +277,6 @@ def settled(wanted: set[Any], found: set[Any], step: Callable[[], object] = lamb
         time.sleep(0.02)
 
 
-def whole(ticks: int) -> Flight:
+def local_flight(ticks: int) -> Flight:
     scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
     return fly(scenario, scenario.seed)[0]

@@ -1,4 +1,4 @@
-"""Messages of a run to observers, made up, for the tests of those who show it."""
+"""Messages of a run to observers, for the tests of views."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -10,28 +10,30 @@ PRESENT = {name: VehicleStatus(present=True) for name in ("uav_0", "ugv_0")}
 """Both vehicles of an escort, for a status."""
 
 
-def a_status(**told: Any) -> Status:
-    """A status with these fields, and the least that any other has."""
+def a_status(**fields: Any) -> Status:
+    """Return a status with these fields and defaults."""
     least = {"scenario": "escort", "seed": 1, "tick": 1, "ticks": 100, "time": 0.05}
-    return Status(**least | {"realtime_factor": 1.0, "vehicles": {}} | told)
+    return Status(**least | {"realtime_factor": 1.0, "vehicles": {}} | fields)
 
 
-def a_vehicle(position: Any = (0.0, 0.0), velocity: Any = (0.0, 0.0), **told: Any) -> VehicleTruth:
+def a_vehicle(
+    position: Any = (0.0, 0.0), velocity: Any = (0.0, 0.0), **fields: Any
+) -> VehicleTruth:
     """Return the truth of a vehicle, without a command by default."""
     still = {"acceleration": (0.0, 0.0), "command": (0.0, 0.0)}
-    return VehicleTruth(position=position, velocity=velocity, **still | told)
+    return VehicleTruth(position=position, velocity=velocity, **still | fields)
 
 
-def a_truth(time: float, uav: VehicleTruth, ugv: VehicleTruth, **told: Any) -> Truth:
-    """The truth at this time of an escort with these fields."""
+def a_truth(time: float, uav: VehicleTruth, ugv: VehicleTruth, **fields: Any) -> Truth:
+    """Return the truth of an escort with these fields at this time."""
     least = {"distance": 1.0, "coverage_error": 1.0, "detection": None, "report": None}
-    escort = EscortTruth(uav="uav_0", ugv="ugv_0", **least | told)
+    escort = EscortTruth(uav="uav_0", ugv="ugv_0", **least | fields)
     vehicles = {"uav_0": uav, "ugv_0": ugv}
     return Truth(tick=round(20 * time), time=time, vehicles=vehicles, escorts=(escort,))
 
 
 class Box:
-    """An inbox whose messages are there already."""
+    """An inbox with given messages."""
 
     def __init__(self) -> None:
         self.messages: list[Any] = []
@@ -44,7 +46,7 @@ class Box:
 
 
 def truth_at(tick: int = 40) -> Truth:
-    """The truth at this tick of an escort whose UAV reports an estimate."""
+    """Return the truth of an escort whose UAV reports an estimate."""
     uav, ugv = (a_vehicle(position, (0.25, -0.5)) for position in ((3.0, 4.5), (5.0, 4.0)))
     report = UavReport(estimate=(6.0, 7.0), covariance=(0.04, 0.01, 0.09), age=0.0, rejected=0)
     return a_truth(tick * 0.05, uav, ugv, detection=(-2.125, 0.5), report=report)

@@ -1,12 +1,12 @@
-"""Long tables of cases as text: one row a line, its cells between bars, for the tests of many refusals."""
+"""Tables of cases as text, one row per line, cells separated by bars, for tests of many refusals."""
 
 
 def rows(text: str) -> list[list[str]]:
-    """The cells of each row; a line that begins with a bar goes on with the row before."""
+    """Return the cells of each row; a line that begins with a bar continues the previous row."""
     lines = text.replace("\n|", " |").strip().splitlines()
     return [[cell.strip() for cell in line.split(" | ")] for line in lines]
 
 
 def words(text: str) -> list[str]:
-    """Words with blanks or line ends between them."""
+    """Split a text at white space."""
     return text.split()

@@ -1,6 +1,6 @@
 """The information contract, layer three.
 
-What the router enforces, tried with real sessions that do not ask our API first.
+What the router enforces for real sessions that bypass our API.
 """
 
 import functools
@@ -44,12 +44,12 @@ from outrider.running.child import child_environment
 from processes import free_port
 from staging import (
     Received,
+    await_exactly,
     client_of,
-    everybody,
     hosted,
-    listening,
     raw_session,
-    settled,
+    raw_sessions,
+    subscribed,
     zenoh_of,
 )
 
@@ -70,7 +70,7 @@ def certified() -> CredentialSet:
 
 @pytest.fixture(params=["password", "tls"])
 def known_by(request: pytest.FixtureRequest, endpoint: str) -> str:
-    """An endpoint whose clients are known by passwords, and one whose by certificates."""
+    """Return an endpoint for clients with passwords, and one for clients with certificates."""
     if request.param == "tls":
         pytest.importorskip("cryptography", reason="the extra [tls] is not installed")
     return endpoint if request.param == "password" else f"tls/127.0.0.1:{free_port()}"
@@ -81,26 +81,26 @@ def given(endpoint: str) -> CredentialSet:
 
 
 def router(endpoint: str) -> AbstractContextManager[Session]:
-    """A router that takes no part in the run but as an observer."""
+    """Open a router that is only an observer of the run."""
     return hosted(endpoint, given(endpoint), "observer")
 
 
 def parties(endpoint: str) -> AbstractContextManager[dict[str, zenoh.Session]]:
-    """Such a router, and a raw client for each party."""
-    return everybody(endpoint, given(endpoint), NAMES, "observer")
+    """Open such a router, and a raw client for each party."""
+    return raw_sessions(endpoint, given(endpoint), NAMES, "observer")
 
 
-def concrete() -> list[tuple[Any, str, str]]:
-    """Every row of the table for every vehicle: row, vehicle, key."""
+def all_keys() -> list[tuple[Any, str, str]]:
+    """Return each key of the table for every vehicle: row, vehicle, expression."""
     pairs = [(key, vehicle) for key in KEYS for vehicle in VEHICLES.get(key.vehicle, [""])]
     return [(key, vehicle, key.expression(RUN, vehicle)) for key, vehicle in pairs]
 
 
-def receives(session: zenoh.Session, expression: str) -> Any:
+def subscriber(session: zenoh.Session, expression: str) -> Any:
     return session.declare_subscriber(expression, zenoh.handlers.FifoChannel(100))
 
 
-def speaks(session: zenoh.Session, expression: str) -> Any:
+def publisher_of(session: zenoh.Session, expression: str) -> Any:
     return session.declare_publisher(expression, allowed_destination=REMOTE)
 
 
@@ -113,10 +113,10 @@ def may(check: Any, key: Any, name: str, vehicle: str) -> bool:
 
 
 def test_messages_go_from_their_writer_to_their_readers_alone(known_by: str) -> None:
-    """All parties write to every key and read every key, each for itself and with the widest keys there are."""
+    """Let all parties write and read every key, each key by itself and by the widest wildcards."""
     wanted = {
         (reader, expression, writer)
-        for key, vehicle, expression in concrete()
+        for key, vehicle, expression in all_keys()
         for reader in NAMES
         for writer in NAMES
         if reader != writer
@@ -126,37 +126,37 @@ def test_messages_go_from_their_writer_to_their_readers_alone(known_by: str) -> 
     assert len(wanted) >= 20
     found: Received = set()
     with parties(known_by) as sessions:
-        expressions = [row[2] for row in concrete()]
+        expressions = [row[2] for row in all_keys()]
         widest = ("**", "outrider/**", f"outrider/{RUN}/*/command")
         kept = [
-            listening(opened, name, (*expressions, *widest), found)
+            subscribed(opened, name, (*expressions, *widest), found)
             for name, opened in sessions.items()
         ]
         publishers = {
-            name: [speaks(opened, expression) for expression in expressions]
+            name: [publisher_of(opened, expression) for expression in expressions]
             for name, opened in sessions.items()
         }
 
-        def say() -> None:
+        def publish() -> None:
             for name, opened in sessions.items():
                 for publisher in publishers[name]:
                     publisher.put(name.encode())
-                for expression in expressions:  # and without a declaration
+                for expression in expressions:  # also without a declared publisher
                     opened.put(expression, name.encode(), allowed_destination=REMOTE)
 
-        settled(wanted, found, say)
+        await_exactly(wanted, found, publish)
         assert kept
     assert found == wanted
 
 
 def declared(owner: str, name: str) -> list[str]:
-    """Tokens in one party's name by another: only the first may pass, where the two are one."""
+    """Return tokens of one party in another's name; only the first may pass, and only for a party's own name."""
     places = (NAMES.index(name), PLACES, "0/more", f"by_{name}")
     return [token(RUN, owner, place) for place in places]
 
 
 def test_parties_announce_themselves_alone(known_by):
-    """Each declares the place of its number in everybody's name, places that nobody has."""
+    """Let each party declare tokens in every party's name, also with an unused number."""
     seen: dict[str, set[str]] = {name: set() for name in NAMES}
     assert len(NAMES) <= PLACES
     with parties(known_by) as sessions:
@@ -175,17 +175,17 @@ def test_parties_announce_themselves_alone(known_by):
                 for expression in declared(owner, name):
                     kept.append(opened.liveliness().declare_token(expression))
         wanted = {token(RUN, name, NAMES.index(name)) for name in NAMES}
-        settled(wanted, seen["simulator"])
+        await_exactly(wanted, seen["simulator"])
     own = {
         name: {expression for owner in NAMES for expression in declared(owner, name)}
         for name in NAMES
-    }  # it receives itself
+    }  # it receives its own tokens
     assert seen["simulator"] - own["simulator"] == wanted - own["simulator"]
     for name in set(NAMES) - {"simulator"}:
         assert seen[name] - own[name] == {token(RUN, "simulator", NAMES.index("simulator"))}
 
 
-def test_nobody_can_ask_the_router_or_another_for_anything(known_by: str) -> None:
+def test_no_party_can_query_the_router_or_another_party(known_by: str) -> None:
     with parties(known_by) as sessions:
         answered = sessions["ugv_0"].declare_queryable(
             "outrider/**", lambda query: query.reply(query.key_expr, b"secret")
@@ -216,19 +216,19 @@ STRANGERS: dict[str, Credential | None] = {
 def test_a_stranger_gets_nothing(endpoint: str, kind: str, mode: str) -> None:
     with ExitStack() as stack:
         host = zenoh_of(stack.enter_context(hosted(endpoint, GIVEN)))
-        publishers = [speaks(host, expression) for _, _, expression in concrete()]
-        commands = receives(host, "outrider/**")
-        told = {"mode": mode, "scouting__gossip__enabled": True, "listen__endpoints": []}
+        publishers = [publisher_of(host, expression) for _, _, expression in all_keys()]
+        commands = subscriber(host, "outrider/**")
+        settings = {"mode": mode, "scouting__gossip__enabled": True, "listen__endpoints": []}
         try:
-            opened = stack.enter_context(raw_session(endpoint, STRANGERS[kind], **told))
+            opened = stack.enter_context(raw_session(endpoint, STRANGERS[kind], **settings))
         except zenoh.ZError:
-            return  # it was not even let in
-        inbox = receives(opened, "outrider/**")
+            return  # it was not admitted
+        inbox = subscriber(opened, "outrider/**")
         limit = time.monotonic() + 1.0
         while time.monotonic() < limit:
             for publisher in publishers:
                 publisher.put(b"secret")
-            for _, _, expression in concrete():
+            for _, _, expression in all_keys():
                 opened.put(expression, b"evil", allowed_destination=REMOTE)
         assert inbox.try_recv() is None
         assert commands.try_recv() is None
@@ -238,14 +238,14 @@ def test_a_known_peer_with_gossip_gets_no_more_than_a_client(endpoint: str) -> N
     with ExitStack() as stack:
         host = zenoh_of(stack.enter_context(hosted(endpoint, GIVEN)))
         stack.enter_context(raw_session(endpoint, GIVEN.of("ugv_0")))
-        told = {"mode": "peer", "scouting__gossip__enabled": True}
-        peer = stack.enter_context(raw_session(endpoint, GIVEN.of("uav_0"), **told))
-        expressions = [row[2] for row in concrete()]
+        settings = {"mode": "peer", "scouting__gossip__enabled": True}
+        peer = stack.enter_context(raw_session(endpoint, GIVEN.of("uav_0"), **settings))
+        expressions = [row[2] for row in all_keys()]
         found: Received = set()
-        kept = listening(peer, "uav_0", (*expressions, "**"), found)
-        publishers = [speaks(host, expression) for expression in expressions]
+        kept = subscribed(peer, "uav_0", (*expressions, "**"), found)
+        publishers = [publisher_of(host, expression) for expression in expressions]
 
-        def say() -> None:
+        def publish() -> None:
             for publisher in publishers:
                 publisher.put(b"simulator")
 
@@ -253,22 +253,22 @@ def test_a_known_peer_with_gossip_gets_no_more_than_a_client(endpoint: str) -> N
             ("uav_0", f"outrider/{RUN}/uav_0/{topic}", "simulator")
             for topic in ("observation", "briefing")
         }
-        settled(own, found, say)
+        await_exactly(own, found, publish)
         assert kept
         assert found == own
         assert [str(zid) for zid in peer.info.peers_zid()] == []
 
 
-def test_a_refused_client_is_told_why(endpoint: str) -> None:
+def test_refused_client_receives_the_reason(endpoint: str) -> None:
     uav, ugv = GIVEN.of("uav_0"), GIVEN.of("ugv_0")
-    for party, credential, told in (
+    for party, credential, phrase in (
         (uav.party, None, "without credentials"),
         (uav.party, named("uav_0", Role.UAV), "as uav_0: check the run's password"),
         (ugv.party, uav, "cannot use the credentials of uav_0"),
     ):
         with (
             router(endpoint),
-            pytest.raises(AccessDenied, match=told),
+            pytest.raises(AccessDenied, match=phrase),
             open_session(party, RUN, connect=endpoint, credential=credential),
         ):
             pass
@@ -281,7 +281,7 @@ def includes(wide: str, expression: str) -> bool:
 def test_the_grants_are_the_table_and_nothing_more() -> None:
     for credential in GIVEN.parties:
         party, own = credential.party, set()
-        for key, vehicle, expression in concrete():
+        for key, vehicle, expression in all_keys():
             if may(check_writes, key, party.name, vehicle):
                 own.add(("put", "ingress", expression))
             if may(check_reads, key, party.name, vehicle):
@@ -290,7 +290,7 @@ def test_the_grants_are_the_table_and_nothing_more() -> None:
         allowed = {
             ("put", grant.flow, expression)
             for grant in given
-            for _, _, expression in concrete()
+            for _, _, expression in all_keys()
             if any(includes(wide, expression) for wide in grant.keys)
         }
         assert allowed == own, party
@@ -315,7 +315,7 @@ def test_credentials_are_private_random_and_read_back(tmp_path: Path) -> None:
     assert {stat.S_IMODE(path.stat().st_mode) for path in files.values()} == {0o600}
     assert read_credentials(files["router"]) == GIVEN
     assert {read_credential(files[name]) for name in NAMES} == set(GIVEN.parties)
-    for name in NAMES:  # nobody's file tells another's password
+    for name in NAMES:  # no file contains another party's password
         text = files[name].read_text(encoding="utf-8")
         assert [other for other in NAMES if GIVEN.of(other).password in text] == [name]
     again = new_credentials(RUN, ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])

@@ -1,4 +1,4 @@
-"""Reports of the safety filters are held against the truth: a lie is counted, and what an assumption excuses is not."""
+"""Certificates against the truth: false claims are counted, unless an assumption failed."""
 
 import csv
 import json
@@ -42,10 +42,10 @@ DELAYED = load_scenario(
         "certificate.max_measurement_age": 0.5,
     },
 )
-"""Commands act two ticks late, and the newest detection is never older than ten ticks."""
+"""Commands act two ticks late, and the newest detection is at most ten ticks old."""
 
 
-def said(certified: bool | None, *, distance: float = 1.0) -> UavReport:
+def report_of(certified: bool | None, *, distance: float = 1.0) -> UavReport:
     decision = None
     if certified is not None:
         decision = FilterDecision(
@@ -63,18 +63,19 @@ def said(certified: bool | None, *, distance: float = 1.0) -> UavReport:
     )
 
 
-def taken(*claims: bool | None, at: float = 1.0) -> Assurance:
-    """Ticks with these claims, in which all that is declared holds; None: no report comes."""
+def assurance_after(*claims: bool | None, at: float = 1.0) -> Assurance:
+    """Return the counters after ticks with these claims and valid assumptions; None: no report."""
     assurance = Assurance(DELAYED)
     for tick, certified in enumerate(claims):
-        take(assurance, tick, certified, distance=at)
+        record_tick(assurance, tick, certified, distance=at)
     return assurance
 
 
-def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) -> None:
-    """A tick with this claim, unless nothing `answers`; a report that is not `current` is of the tick before.
+def record_tick(assurance: Assurance, tick: int, certified: bool | None, **given: Any) -> None:
+    """Record a tick with this claim; `answers` is false without a command, `current` false for a report of the previous
+    tick.
 
-    Before it the UAV is `off` the place that it is told by this far [m], or its filter begins anew: `excused`.
+    `off` is the tracking error before it [m]; `excused` means that the filter restarts.
     """
     truth = {
         "distance": 1.0,
@@ -91,10 +92,12 @@ def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) 
         assurance.track(0, truth["off"])
     if truth["excused"]:
         assurance.excuse(0)
-    report = None if certified is None else said(certified)
+    report = None if certified is None else report_of(certified)
     answered = tick if truth["current"] else tick - 1
     arrivals, flown = np.zeros(1, record_type(ArrivalRecord)), no_motions(2)
-    arrivals["newest"] = max((taken for taken, _ in truth["arrivals"]), default=NEVER)
+    arrivals["newest"] = max(
+        (assurance_after for assurance_after, _ in truth["arrivals"]), default=NEVER
+    )
     arrivals["error"] = max((error for _, error in truth["arrivals"]), default=0.0)
     vehicles = np.zeros(2, record_type(Vehicle))
     flown["begins"], flown["plain"] = truth["flown"], truth["bare"]
@@ -113,18 +116,18 @@ def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) 
 
 def test_a_tick_that_is_certified_out_of_sight_is_counted() -> None:
     for at, lies in ((R_V - 1e-9, 0), (R_V, 2), (9.0, 2)):
-        counted = taken(True, False, True, None, at=at)
+        counted = assurance_after(True, False, True, None, at=at)
         assert (counted.ticks, counted.certified, counted.certified_while_lost) == (4, 2, lies)
-    assert taken(False, None, at=9.0).certified_while_lost == 0
+    assert assurance_after(False, None, at=9.0).certified_while_lost == 0
 
 
 def test_certificate_ended_under_its_assumptions_counts_once() -> None:
-    assert taken(*[True] * 5, *[False] * 5, True, False, False).certificate_broken == 2
-    assert taken(False, False, True, True).certificate_broken == 0
+    assert assurance_after(*[True] * 5, *[False] * 5, True, False, False).certificate_broken == 2
+    assert assurance_after(False, False, True, True).certificate_broken == 0
 
 
 AT = 6
-"""The tick at which a certificate ends, unless a case says another; the one before was certified."""
+"""The tick at which a certificate ends, unless a case sets another; the tick before was certified."""
 Truths = dict[int, dict[str, Any]]
 
 
@@ -187,44 +190,44 @@ NO_EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize(
-    ("broken", "truths", "told"),
+    ("broken", "truths", "declarations"),
     [
         pytest.param(broken, *case, id=name)
         for broken, cases in ((0, EXCUSES), (1, NO_EXCUSES))
         for name, case in cases.items()
     ],
 )
-def test_certificate_ends_only_where_an_assumption_fails(broken, truths, told):
-    ends = told.get("ends", AT)
-    declared = {name: value for name, value in told.items() if name != "ends"}
+def test_certificate_ends_only_where_an_assumption_fails(broken, truths, declarations):
+    ends = declarations.get("ends", AT)
+    declared = {name: value for name, value in declarations.items() if name != "ends"}
     certificate = msgspec.structs.replace(DELAYED.certificate, **declared)
     assurance = Assurance(msgspec.structs.replace(DELAYED, certificate=certificate))
-    for tick in range(ends + 2):  # in the tick after it the motion of its command may begin
-        take(assurance, tick, tick < ends, **truths.get(tick, {}))
+    for tick in range(ends + 2):  # the trajectory of its command may start in the following tick
+        record_tick(assurance, tick, tick < ends, **truths.get(tick, {}))
     assert assurance.certificate_broken == broken
 
 
 def test_filter_started_in_flight_ignores_earlier_detections() -> None:
     assurance = Assurance(DELAYED)
-    take(assurance, 0, True, arrivals=[(0, 9.0)])
-    for tick in range(10, 20):  # the law has not been watched meanwhile
-        take(assurance, tick, tick < 15)
+    record_tick(assurance, 0, True, arrivals=[(0, 9.0)])
+    for tick in range(10, 20):  # the law was not watched in between
+        record_tick(assurance, tick, tick < 15)
     assert assurance.certificate_broken == 1
 
 
 def test_filter_started_in_flight_inherits_no_certificate() -> None:
-    assurance = taken(True, True)
-    for tick in range(10, 14):  # the law has not been watched meanwhile
-        take(assurance, tick, tick > 11)
+    assurance = assurance_after(True, True)
+    for tick in range(10, 14):  # the law was not watched in between
+        record_tick(assurance, tick, tick > 11)
     assert assurance.certificate_broken == 0
-    assurance = taken(True, True)
-    for tick in range(3, 9):  # one that has had no detection of its own
-        take(assurance, tick, tick < 8, arrivals=[])
+    assurance = assurance_after(True, True)
+    for tick in range(3, 9):  # without a detection of its own
+        record_tick(assurance, tick, tick < 8, arrivals=[])
     assert assurance.certificate_broken == 0
 
 
 @pytest.mark.parametrize(("flown_on", "broken"), [(True, 1), (False, 0)])
-def test_outage_right_afterwards_excuses_an_ended_certificate(flown_on, broken) -> None:
+def test_later_command_gap_excuses_an_ended_certificate(flown_on, broken) -> None:
     """A pilot predicts the gap between two plans before it becomes too long."""
     certificate = Certificate(
         max_command_delay=0.25,
@@ -235,21 +238,21 @@ def test_outage_right_afterwards_excuses_an_ended_certificate(flown_on, broken) 
     assurance = Assurance(msgspec.structs.replace(DELAYED, certificate=certificate))
     for tick in range(20, 32):
         flown = tick if tick <= 24 or flown_on else 24
-        take(assurance, tick, tick < 26, flown=flown)
+        record_tick(assurance, tick, tick < 26, flown=flown)
         assert assurance.certificate_broken in (0, broken)
     assert assurance.certificate_broken == broken
 
 
 def test_certificate_covers_no_tick_after_the_filter_stops() -> None:
-    assurance = taken(True, True)
-    take(assurance, 2, None, watched=False)
+    assurance = assurance_after(True, True)
+    record_tick(assurance, 2, None, watched=False)
     assurance.end(0, R_V)
     assert assurance.certified_while_lost == 0
 
 
 def lying(pilots: Mapping[str, Pilot]) -> Piloted:
-    """The pilots, but the UAV always says that it is certified."""
-    lie = said(True, distance=0.5)
+    """Return the pilots, with a UAV that always claims to be certified."""
+    lie = report_of(True, distance=0.5)
     return altered(pilots, "uav_0", lambda seen: {"report": lie if seen.tick != 7 else None})
 
 
@@ -260,7 +263,7 @@ LOSING = msgspec.structs.replace(
     LOSING,
     certificate=Certificate(
         max_measurement_age=60.0
-    ),  # nothing can be certified, and nothing is seen from 5 s on
+    ),  # nothing can be certified, and no detection arrives after 5 s
     links=LinkTable(
         detections=msgspec.structs.replace(LOSING.links.detections, blackouts=((5.0, 60.0),))
     ),
@@ -285,14 +288,14 @@ def test_sight_lost_at_the_last_certified_tick_counts_once() -> None:
         ((True, False), R_V, 0),
         ((True, None), R_V, 0),
     ):
-        assurance = taken(*ticks)
+        assurance = assurance_after(*ticks)
         for _ in range(2):
             assurance.end(0, last)
             assert assurance.certified_while_lost == lost
 
 
 def test_filter_around_user_control_is_checked_against_truth() -> None:
-    """The laws of the paper are watched by no filter; `inner` is."""
+    """Only `inner` flies inside the safety filter; the laws of the paper do not."""
     counts = []
     for law in ("certified", "linear"):
         flown = msgspec.structs.replace(LOSING, law=Law(name=law))
@@ -301,15 +304,15 @@ def test_filter_around_user_control_is_checked_against_truth() -> None:
             briefing(flown, "uav_0", 3), inner=lambda observation: (-0.3, 0.0)
         )
         flight.fly(lying(pilots))
-        told = flight.answers.assurance
-        counts.append((told.certified, told.certified_while_lost))
+        counters = flight.answers.assurance
+        counts.append((counters.certified, counters.certified_while_lost))
     assert counts[0] == counts[1]
     assert counts[0][1] > 20
 
 
 def test_every_lie_of_a_flight_is_in_its_summary(lied: tuple[Flight, Summary, Path]) -> None:
     flight, summary, _ = lied
-    lost = int((flight.recorder.escorts[:, 0, 0] >= R_V).sum())  # the last state included
+    lost = int((flight.recorder.escorts[:, 0, 0] >= R_V).sum())  # including the last state
     assert summary.certified_while_lost == lost > 20
     assert summary.certified_share == pytest.approx((LOSING.ticks - 1) / LOSING.ticks)
     assert summary.certificate_broken == 0
@@ -335,16 +338,16 @@ def test_trajectory_file_states_the_certificate_of_each_tick(lied, tmp_path):
         for row in rows
         if row["uav_0.certified"] == "1" and float(row["uav_0.distance [m]"]) >= R_V
     ]
-    # and the last state, after a certified tick
+    # also the last state, after a certified tick
     assert len(lies) + 1 == summary.certified_while_lost
 
 
-def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(lied):
+def test_recording_has_the_same_counts_and_each_ticks_claim(lied):
     from outrider.recording.reader import flight_of
 
     _, summary, path = lied
     truths = flight_of(path).truths
-    reports = [truth.escorts[0].report for truth in truths[1:]]  # what was said at the tick before
+    reports = [truth.escorts[0].report for truth in truths[1:]]  # the report of the previous tick
     assert [report is not None and report.decision.certified for report in reports] == [
         tick != 7 for tick in range(LOSING.ticks)
     ]
@@ -354,11 +357,11 @@ def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(lied):
         for t, report in zip(truths, reports, strict=False)
         if report is not None
     ]
-    assert sum(lies) + 1 == summary.certified_while_lost  # and the last state
+    assert sum(lies) + 1 == summary.certified_while_lost  # also the last state
     app = typer.Typer()
     app.command()(replay.command)
     for arguments in ((str(path), "--json"), (str(path), "--refly", "--json")):
-        told = json.loads(CliRunner().invoke(app, arguments).stdout)
+        printed = json.loads(CliRunner().invoke(app, arguments).stdout)
         for field in (
             "certified_share",
             "overridden_share",
@@ -366,7 +369,7 @@ def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(lied):
             "certified_while_lost",
             "certificate_broken",
         ):
-            assert told[field] == getattr(summary, field), (arguments, field)
+            assert printed[field] == getattr(summary, field), (arguments, field)
 
 
 def test_summary_table_lists_certificate_faults_only(lied):
@@ -388,20 +391,20 @@ def test_summary_table_lists_certificate_faults_only(lied):
     assert "wrong" not in captured.get()
 
 
-def losing_the_thread(scenario: Scenario) -> Piloted:
-    """The pilots, but now and then the UAV says that it is not certified."""
+def interrupted_claims(scenario: Scenario) -> Piloted:
+    """Return the pilots, with a UAV that now and then is not certified."""
 
-    def says(seen: UavObservation) -> dict[str, Any]:
-        return {"report": said(seen.tick % 50 != 49)}
+    def change(seen: UavObservation) -> dict[str, Any]:
+        return {"report": report_of(seen.tick % 50 != 49)}
 
-    return altered(make_pilots(scenario, 7), "uav_0", says)
+    return altered(make_pilots(scenario, 7), "uav_0", change)
 
 
 @pytest.mark.parametrize(
     ("changes", "broken"),
     [
         ({}, 4),
-        ({"links.commands.delay": 0.5}, 3),  # the last one may be an outage yet to come
+        ({"links.commands.delay": 0.5}, 3),  # the last one may be a command gap yet to come
         ({"detections.noise": 0.5, "certificate.max_measurement_error": 0.1}, 0),
         ({"links.detections.delay": 1.0, "certificate.max_measurement_age": 0.9}, 0),
         ({"links.detections.delay": 1.0, "certificate.max_measurement_age": 1.0}, 4),
@@ -421,7 +424,7 @@ def test_certificate_breaks_only_under_its_declared_bounds(
     }
     scenario = load_scenario("escort", overrides=given | changes)
     flight = Flight(scenario, 7)
-    flight.fly(losing_the_thread(scenario))
+    flight.fly(interrupted_claims(scenario))
     assert flight.answers.assurance.certificate_broken == broken
     assert flight.answers.assurance.reasons[NotCertified.NO_PLAN] == 4
 
@@ -434,11 +437,11 @@ def test_law_change_excuses_its_first_tick() -> None:
     def broken(at: int | None) -> int:
         flight = Flight(scenario, 7)
 
-        def order() -> None:
+        def change_law() -> None:
             if flight.world.tick == at:
                 flight.order(Law(name="certified", parameters={"weight_gain": 10.0}))
 
-        flight.fly(losing_the_thread(scenario), on_tick=order)
+        flight.fly(interrupted_claims(scenario), on_tick=change_law)
         return flight.answers.assurance.certificate_broken
 
     assert (broken(None), broken(49), broken(48), broken(50)) == (4, 3, 4, 4)

@@ -38,7 +38,7 @@ SCENARIOS: dict[str, Scenario] = {
 
 
 def _alone(scenario, seed):
-    """A world of its own that counts the gains."""
+    """Return a single world that counts the gains."""
     others = (LinkKind.OPERATOR, LinkKind.RADIO)
     batch = Batch(scenario, 1, gains=True, threads=1, others=others)
     batch.begin((seed,))
@@ -66,10 +66,10 @@ def _same(batch: Batch, worlds: list[World]) -> None:
     for k, world in enumerate(worlds):
         assert s.ticks[k] == world.tick
         for u in range(len(world.uavs)):
-            looks = looks_of(world.received(u), world.parameters.dt)
+            received = looks_of(world.received(u), world.parameters.dt)
             packets = s.packets[k, u, ARRIVED, : s.links["arrived"][k, u]]
             found = np.column_stack([packets["stamp"], packets["vector"]])
-            assert found.tolist() == [list(one) for one in looks]
+            assert found.tolist() == [list(one) for one in received]
         assert world.vehicles.tobytes() == s.vehicles[k].tobytes()
         assert world.coverage.tobytes() == s.coverage[k].tobytes()
 
@@ -106,12 +106,12 @@ def test_batch_size_and_threads_change_no_bit() -> None:
         assert one[69].tobytes() == last[0].tobytes()
 
 
-def test_a_world_that_begins_anew_is_as_if_it_had_never_flown() -> None:
+def test_reset_world_equals_one_that_has_never_flown() -> None:
     batch, _ = _fly_both(SCENARIOS["network"], [1, 2, 3], 90)
     kept = [array[1].copy() for array in batch.state]
     batch.begin([9, 8], [2, 0])
     for array, before in zip(batch.state, kept, strict=True):
-        assert str(array[1].tolist()) == str(before.tolist())  # bytes between fields differ
+        assert str(array[1].tolist()) == str(before.tolist())  # padding bytes differ
     fresh = Batch(SCENARIOS["network"], 3, gains=True)
     fresh.begin([8, 2, 9])
     commands = np.full((3, 2, 2), 0.2)

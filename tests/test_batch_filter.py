@@ -31,14 +31,16 @@ class Case(NamedTuple):
     noise: float = 0.1
     late: float = 0.0  # largest delay [s]
     every: int = 1  # ticks between two detections
-    wild: float = 0.0  # share of detections that come twice, contradict or have an impossible time
+    wild: float = (
+        0.0  # share of detections that arrive twice, contradict another one or have an invalid time
+    )
 
     @property
     def depth(self):
         return 1 + round(self.late / self.dt)
 
     @property
-    def told(self):
+    def arguments(self):
         detector = Detector(noise=self.noise, period=self.dt)
         settings, target = self.settings, self.target
         return {"detector": detector, "target": target, "settings": settings, "dt": self.dt}
@@ -86,17 +88,17 @@ def _arrivals(case, own, ugv, rng):
     """Return the detections that arrive at each tick: rows of the tick of detection and p_delta."""
     at, blind_until = defaultdict(list), 0
     for k in range(3, case.ticks, case.every):
-        if rng.random() < case.every * case.dt / 60.0:  # blind for 1 s to 2 minutes
+        if rng.random() < case.every * case.dt / 60.0:  # no detections for 1 s to 2 minutes
             blind_until = k + round(math.exp(rng.uniform(0.0, math.log(120.0))) / case.dt)
         if k < blind_until:
             continue
         gross = 5.0 * (rng.random() < 0.02)
-        look = (k, *(own[k] - ugv[k] + (case.noise + gross) * rng.normal(size=2)))
+        detection = (k, *(own[k] - ugv[k] + (case.noise + gross) * rng.normal(size=2)))
         delay = rng.integers(case.depth) if case.late and rng.random() < 0.9 else 0
-        at[k + delay].append(look)
+        at[k + delay].append(detection)
         if rng.random() < case.wild:
             other = (k + rng.choice([-3 * case.depth, 0, 0, 1]), *(own[k] - ugv[k]))
-            for again in (look, look, other)[: rng.integers(1, 4)]:
+            for again in (detection, detection, other)[: rng.integers(1, 4)]:
                 at[k + rng.integers(case.depth + 2)].append(again)
     for arrived in at.values():
         rng.shuffle(arrived)
@@ -104,8 +106,8 @@ def _arrivals(case, own, ugv, rng):
 
 
 @released
-def _step(parameters, rows, tick, x, y, looks, count):
-    update(parameters[0], rows, (0, 0), tick, Motion(x, y, 0.0, 0.0), looks, count)
+def _step(parameters, rows, tick, x, y, detections, count):
+    update(parameters[0], rows, (0, 0), tick, Motion(x, y, 0.0, 0.0), detections, count)
     return estimate(rows, 0, 0)
 
 
@@ -125,12 +127,12 @@ def _fly_beside(name, case):
     rng = np.random.default_rng(len(name))
     own, ugv = _places(case, rng)
     at, worst = _arrivals(case, own, ugv, rng), 0.0
-    parameters = records(KalmanParameters, [kalman_parameters(**case.told)])
+    parameters = records(KalmanParameters, [kalman_parameters(**case.arguments)])
     rows = estimator_rows(case.depth)[None, None].copy()
-    pilots = RelativeEstimator(**case.told, span=(case.depth - 1) * case.dt)
+    pilots = RelativeEstimator(**case.arguments, span=(case.depth - 1) * case.dt)
     for k, (p_x, p_y) in enumerate(own.tolist()):
-        looks = np.array([*at[k], (math.nan, 1.0, 1.0)])  # the last row has not arrived
-        target = _step(parameters, rows, k, p_x, p_y, looks, len(at[k]))
+        arrived = np.array([*at[k], (math.nan, 1.0, 1.0)])  # the last row has not arrived
+        target = _step(parameters, rows, k, p_x, p_y, arrived, len(at[k]))
         estimated = pilots.update(
             tick=k, own_position=(p_x, p_y), detections=[Look(*one) for one in at[k]]
         )
@@ -142,7 +144,7 @@ def _fly_beside(name, case):
             worst = max(worst, _difference(target, pilots))
             assert worst < 1e-9, (name, k)
     if case.settings.enabled and case.noise:
-        assert now["rejected"] > 0  # or the flight has shown little
+        assert now["rejected"] > 0  # otherwise the run shows little
     if case.wild:
         assert min(pilots.duplicates, pilots.misdated, pilots.too_old) > 0
     print(f"{name}: largest relative difference {worst:.1e}")  # noqa: T201
@@ -156,7 +158,7 @@ def test_equals_the_pilots_filter_step_by_step(name):
 
 def test_a_ugv_not_seen_for_long_may_have_turned_round():
     case = CASES["in time"]
-    parameters = records(KalmanParameters, [kalman_parameters(**case.told)])
+    parameters = records(KalmanParameters, [kalman_parameters(**case.arguments)])
     rows = estimator_rows(1)[None, None].copy()
     for k in range(4801):
         _step(parameters, rows, k, 0.0, 0.0, np.array([[0.0, 1.0, 1.0]]), int(k == 0))
@@ -165,10 +167,10 @@ def test_a_ugv_not_seen_for_long_may_have_turned_round():
 
 
 def test_parameters_follow_from_detector_and_limits():
-    parameters = kalman_parameters(**CASES["in time"].told)
+    parameters = kalman_parameters(**CASES["in time"].arguments)
     assert parameters.variance == truncated_variance(sigma=0.1, truncation=3.0)
     assert (parameters.first_variance, parameters.speed) == (0.5 * 0.2**2, 0.2)
-    unknown = kalman_parameters(**CASES["unknown speed"].told)
+    unknown = kalman_parameters(**CASES["unknown speed"].arguments)
     assert (unknown.first_variance, unknown.speed) == (100.0, math.inf)
 
 

@@ -37,14 +37,14 @@ def _kept(u, p, v):
     speeds,
 )
 @settings(PROPERTY)
-def test_away_from_the_border_the_law_is_left_alone(x, y, u, v_x, v_y):
+def test_law_is_unchanged_away_from_the_border(x, y, u, v_x, v_y):
     assert _kept((u, -u), (x, y), (v_x, v_y)) == (u, -u)
 
 
 @given(st.floats(0.0, 1.0), st.floats(-9.0, 9.0), st.floats(-9.0, 9.0), speeds, speeds)
 @settings(PROPERTY, max_examples=300)
-def test_at_a_side_nothing_of_the_law_points_out(depth, u_x, u_y, v_x, v_y):
-    """At x near 0; the other sides are the same by reflection."""
+def test_law_never_points_outward_at_a_side(depth, u_x, u_y, v_x, v_y):
+    """Check the side x = 0; the other sides follow by reflection."""
     p = (0.999 * depth * MARGIN, 0.5 * HEIGHT)
     a_x, a_y = _kept((u_x, u_y), p, (v_x, v_y))
     if v_x < 0.0:
@@ -62,15 +62,15 @@ def test_at_a_side_nothing_of_the_law_points_out(depth, u_x, u_y, v_x, v_y):
 
 @given(st.integers(0, 2**32), st.floats(0.0, math.tau), st.sampled_from((1.0, 10.0, 39.0)))
 @settings(PROPERTY, max_examples=150)
-def test_whatever_the_law_wants_it_never_crosses_the_border(seed, course, k_v):
-    """At full speed from anywhere outside the margin, another wish every few ticks, most of them outward."""
+def test_no_command_crosses_the_border(seed, course, k_v):
+    """Start at full speed anywhere outside the margin, with a new, mostly outward command every few ticks."""
     rng = np.random.default_rng(seed)
     start = (rng.uniform(MARGIN, WIDTH - MARGIN), rng.uniform(MARGIN, HEIGHT - MARGIN))
-    state, wanted = (*start, V_A * math.cos(course), V_A * math.sin(course)), course
+    state, direction = (*start, V_A * math.cos(course), V_A * math.sin(course)), course
     for _ in range(600):
         if rng.random() < 0.1:
-            wanted = rng.normal(course, 1.0)
-        w_x, w_y = V_A * math.cos(wanted), V_A * math.sin(wanted)
+            direction = rng.normal(course, 1.0)
+        w_x, w_y = V_A * math.cos(direction), V_A * math.sin(direction)
         u = coverage_control(w_x - state[2], w_y - state[3], k_v)
         u = keep_off_border(*u, Motion(*state), k_v, WIDTH, HEIGHT, MARGIN, DT)
         *state, _, _ = step_vehicle(*state, *u, V_A, U_A, DT)
@@ -116,7 +116,7 @@ places = (
 
 
 def _between(share: float, center: float, way: float, size: float) -> float:
-    """A coordinate within sight of the UGV's from which the way to a stop stays inside."""
+    """Return a coordinate in sight of the UGV's, with room to stop inside the area."""
     least, most = max(center - 0.7 * R_V, 0.0, -way), min(center + 0.7 * R_V, size, size - way)
     return least + share * (most - least)
 
@@ -132,7 +132,7 @@ def _between(share: float, center: float, way: float, size: float) -> float:
 @settings(PROPERTY, max_examples=40)
 def test_the_coverage_law_never_reaches_the_border(ugv, share, speed, course, k_v, goals):
     velocity = (speed * math.cos(course), speed * math.sin(course))
-    stop = speed / (2.0 * U_A) + 2.0 * DT  # a UAV that could not stop in time is not asked to
+    stop = speed / (2.0 * U_A) + 2.0 * DT  # a UAV that could not stop in time is excluded
     start = tuple(
         _between(share[k], ugv[k], stop * velocity[k], size)
         for k, size in enumerate((WIDTH, HEIGHT))
@@ -147,15 +147,13 @@ def test_the_coverage_law_never_reaches_the_border(ugv, share, speed, course, k_
         duration=45.0,
     )
     uav, _ = tracks(fly(scenario, 0)[0])
-    assert (
-        uav[:, :2] > 0.0
-    ).all()  # the world's walls hold a vehicle at 0, so it never touched them
+    assert (uav[:, :2] > 0.0).all()  # the walls hold a vehicle at 0, so it never touched them
     assert (uav[:, :2] < (WIDTH, HEIGHT)).all()
 
 
 @pytest.mark.parametrize("ugv", [(0.0, 0.0), (16.0, 6.0), (15.7, 11.7)])
 def test_ground_at_the_border_is_covered_too(ugv: tuple[float, float]) -> None:
-    """Proposition 1 in a corner and at a side."""
+    """Check Proposition 1 in a corner and at a side."""
     inside = (min(max(ugv[0], 1.0), WIDTH - 1.0), min(max(ugv[1], 1.0), HEIGHT - 1.0))
     area = Area(width=WIDTH, height=HEIGHT, cell=0.5)
     flight, summary = fly(

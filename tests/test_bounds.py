@@ -1,4 +1,4 @@
-"""Files from others: none of them fills the memory, keeps the reader waiting, or loads code that nobody asked for."""
+"""Files of unknown origin: they neither fill the memory, nor block the reader, nor load code without permission."""
 
 import os
 import struct
@@ -24,17 +24,17 @@ from sim.scenario.loading import load_scenario, scenario_names, shipped_text
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
 zstandard = pytest.importorskip("zstandard", reason="the extra [record] is not installed")
 
-from outrider.recording.reader import load  # noqa: E402 - an extra
+from outrider.recording.reader import load  # noqa: E402 - an optional dependency
 
 MAGIC = b"\x89MCAP0\r\n"
 EMPTY = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
-"""A message of no bytes."""
+"""A message of zero bytes."""
 
 
-def zeros(size: int, *, told: bool) -> bytes:
-    """A zstd frame of so many zeros, which tells its size or does not."""
-    packer = zstandard.ZstdCompressor(level=1, write_content_size=told).compressobj(
-        *([size] if told else [])
+def zeros(size: int, *, sized: bool) -> bytes:
+    """Return a zstd frame of zeros, with or without its size in the header."""
+    packer = zstandard.ZstdCompressor(level=1, write_content_size=sized).compressobj(
+        *([size] if sized else [])
     )
     block = bytes(1 << 20)
     return b"".join([*(packer.compress(block) for _ in range(size >> 20)), packer.flush()])
@@ -51,21 +51,21 @@ def chunk(packed: bytes, declared: int, compression: bytes = b"zstd") -> bytes:
 
 
 def many_small() -> bytes:
-    """Chunks that are each within bounds, of millions of messages that are nearly nothing."""
+    """Return chunks within bounds that contain millions of almost empty messages."""
     content = EMPTY * 500_000
     return chunk(zstandard.compress(content), len(content)) * 100
 
 
 BOMBS: dict[str, tuple[Callable[[], bytes], str]] = {
-    "declared": (lambda: chunk(zeros(1 << 30, told=True), 1 << 30), "allowed: 16,777,216 at most"),
-    "hidden": (lambda: chunk(zeros(64 << 20, told=False), 1 << 20), "that it declares"),
+    "declared": (lambda: chunk(zeros(1 << 30, sized=True), 1 << 30), "allowed: 16,777,216 at most"),
+    "hidden": (lambda: chunk(zeros(64 << 20, sized=False), 1 << 20), "that it declares"),
     "belied": (
-        lambda: chunk(zeros(64 << 20, told=True), 1 << 20),
+        lambda: chunk(zeros(64 << 20, sized=True), 1 << 20),
         "1,048,576 bytes that it declares",
     ),
     "small": (many_small, "unpacks to more than 200 times its size"),
     "filled": (
-        lambda: chunk(zeros(16 << 20, told=True), 16 << 20) * 50,
+        lambda: chunk(zeros(16 << 20, sized=True), 16 << 20) * 50,
         "damaged at byte 8: EndOfFile",
     ),
     "unknown": (lambda: chunk(b"", 0, b"zip"), "compression type 'zip'"),
@@ -122,11 +122,11 @@ def test_no_file_fills_the_memory_or_keeps_the_reader_waiting(tmp_path: Path) ->
     ]
     done = python(_PEAK, input="\n".join(lines), check=False, timeout=120)
     assert done.returncode == 0, done.stderr
-    told = done.stderr.splitlines()
-    assert len(told) == len(lines), done.stderr
-    assert sum("not a regular file" in line for line in told) == 8
-    assert "larger than 1 MiB" in told[8]
-    assert int(done.stdout) < 300 * 1024  # [kB], libraries and all
+    errors = done.stderr.splitlines()
+    assert len(errors) == len(lines), done.stderr
+    assert sum("not a regular file" in line for line in errors) == 8
+    assert "larger than 1 MiB" in errors[8]
+    assert int(done.stdout) < 300 * 1024  # [kB], including all libraries
 
 
 @pytest.mark.parametrize(
@@ -175,10 +175,10 @@ def test_warnings_that_differ_in_numbers_alone_are_one_line(capsys):
 
 @pytest.fixture
 def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A scenario with code beside it, which leaves a trace when it is loaded."""
+    """Return a scenario with code beside it that leaves a file when it is loaded."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    body = "from pathlib import Path\nPath('loaded').touch()\ndef policy(seen, told):\n    return (0.0, 0.0)\n"
+    body = "from pathlib import Path\nPath('loaded').touch()\ndef policy(seen, briefing):\n    return (0.0, 0.0)\n"
     (tmp_path / "theirs.py").write_text(body, encoding="utf-8")
     text = (
         (Path(__file__).parents[1] / "sim/scenario/shipped/escort.toml")
@@ -209,7 +209,7 @@ def test_code_that_a_file_names_is_loaded_on_demand_alone(foreign: Path) -> None
     assert lay_out(sweep, named=["custom.policy=theirs:policy"]).points
     assert Path("loaded").exists()
     assert run(foreign, allow_code=True).complete
-    assert run(load_scenario(foreign)).complete  # what a program hands over is its own
+    assert run(load_scenario(foreign)).complete  # scenarios passed by a program are trusted
 
 
 def test_a_run_asks_before_it_loads_code_of_a_file(foreign: Path, command) -> None:

@@ -42,7 +42,7 @@ def party(role: Role) -> Party:
 
 @pytest.fixture
 def sessions(endpoint: str) -> Iterator[dict[Role, Session]]:
-    """A router and one client for each other role."""
+    """Open a router and one client for each other role."""
     with ExitStack() as stack:
         opened = {
             Role.SIMULATOR: stack.enter_context(
@@ -69,7 +69,7 @@ def test_messages_round_trip_with_the_same_bits_and_vehicle(sessions, key):
 
 
 def _send_until_read(send, sent: list[Message], receive) -> Envelope:
-    """Send the last of these until it is read: the first may go before the subscription has arrived."""
+    """Send these until the last one is read: earlier ones may be sent before the subscription has arrived."""
     for _ in range(50):
         send(sent[-1])
         while (envelope := receive(0.2)) is not None:
@@ -81,7 +81,7 @@ def _send_until_read(send, sent: list[Message], receive) -> Envelope:
 
 @pytest.mark.parametrize("key", KEYS, ids=lambda key: key.message.__name__)
 @pytest.mark.parametrize("role", list(Role))
-def test_every_wrong_role_is_denied_at_our_own_api(key: Key, role: Role) -> None:
+def test_api_denies_every_wrong_role(key: Key, role: Role) -> None:
     who = party(role)
     own = NAMES.get(key.vehicle, "") if key.vehicle else ""
     for check, allowed in ((check_writes, (key.writer,)), (check_reads, key.readers)):
@@ -108,7 +108,9 @@ def test_a_denied_reader_and_writer_never_reach_the_bus(sessions: dict[Role, Ses
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e308])
-def test_nonsense_is_refused_before_it_is_sent(sessions: dict[Role, Session], bad: float) -> None:
+def test_invalid_message_is_refused_before_it_is_sent(
+    sessions: dict[Role, Session], bad: float
+) -> None:
     outbox = sessions[Role.UAV].outbox(UAV_COMMAND, "uav_0")
     with pytest.raises(ValueError, match="command"):
         outbox.send(UavCommand(tick=1, acceleration=(bad, 0.0)))
@@ -129,7 +131,7 @@ GARBAGE = [
 ]
 
 
-def test_what_does_not_decode_is_counted_named_and_dropped(sessions: dict[Role, Session]) -> None:
+def test_undecodable_message_is_counted_named_and_dropped(sessions: dict[Role, Session]) -> None:
     inbox = sessions[Role.SIMULATOR].inbox_of_all({"uav_0": UAV_COMMAND, "ugv_0": UGV_COMMAND})
     raw = zenoh_of(sessions[Role.UGV])
     good = UgvCommand(tick=3, acceleration=(0.0, 0.1))
@@ -169,7 +171,7 @@ def test_oversized_messages_are_dropped_or_refused(sessions):
     ]
 
 
-def test_nothing_of_a_stranger_in_the_run_is_received(sessions: dict[Role, Session]) -> None:
+def test_messages_of_a_stranger_are_not_received(sessions: dict[Role, Session]) -> None:
     inbox = sessions[Role.SIMULATOR].inbox_of_all({"uav_0": UAV_COMMAND, "ugv_0": UGV_COMMAND})
     for key in ("outrider/run/nobody/command", "outrider/another/ugv_0/command"):
         zenoh_of(sessions[Role.UGV]).put(key, b'{"tick":1,"acceleration":[0.0,0.0]}')
@@ -185,7 +187,7 @@ def test_receive_gives_up_after_its_patience(sessions: dict[Role, Session]) -> N
     assert 0.25 < time.monotonic() - started < 5.0
 
 
-def test_tokens_tell_who_comes_and_goes(endpoint: str) -> None:
+def test_tokens_report_joining_and_leaving_parties(endpoint: str) -> None:
     import queue
 
     seen: queue.SimpleQueue[tuple[str, int, bool]] = queue.SimpleQueue()
@@ -205,7 +207,7 @@ def test_tokens_tell_who_comes_and_goes(endpoint: str) -> None:
         assert seen.get(timeout=10.0) == ("uav_0", 0, False)
 
 
-def test_telemetry_knows_whether_it_is_wanted(sessions: dict[Role, Session]) -> None:
+def test_telemetry_detects_its_readers(sessions: dict[Role, Session]) -> None:
     outbox = sessions[Role.SIMULATOR].outbox(TRUTH)
     assert not outbox.wanted
     inbox = sessions[Role.OBSERVER].inbox(TRUTH)
@@ -228,21 +230,21 @@ from bus.errors import BusError
 from bus.keys import Party, Role
 from bus.joining import open_session
 
-def join(told):
+def join(results):
     try:
         with open_session(Party(role=Role.UAV, name="uav_0"), "run", connect=sys.argv[1]):
-            told.put("joined")
+            results.put("joined")
     except BusError as error:
-        told.put(str(error))
+        results.put(str(error))
 
 forks = multiprocessing.get_context("fork")
-told = forks.Queue()
+results = forks.Queue()
 with open_session(Party(role=Role.SIMULATOR, name="simulator"), "run", listen=(sys.argv[1],)):
-    child = forks.Process(target=join, args=(told,))
+    child = forks.Process(target=join, args=(results,))
     child.start()
     child.join(20.0)
     child.kill()
-    print("hung" if told.empty() else told.get())
+    print("hung" if results.empty() else results.get())
 """
 
 

@@ -1,4 +1,4 @@
-"""The certificate: the certified distance, the plans, the hand-over, and the assumptions that are checked."""
+"""The certificate: certified distance, plans, hand-over, and the checked assumptions."""
 
 import functools
 import itertools
@@ -16,7 +16,7 @@ from agents.safety import trajectories as c
 from agents.safety.area import step_in_area
 from agents.safety.memory import track_ticks
 from bus.ticks import first_tick_from
-from flights import DT, PROMISED, R_S, R_V, U_A, V_A, V_G, certified
+from flights import DECLARED_BOUNDS, DT, R_S, R_V, U_A, V_A, V_G, certified
 from properties import PROPERTY
 from sim.compiling.compile import FloatArray
 from sim.compiling.records import RecordArray
@@ -24,7 +24,7 @@ from sim.models.motion import no_motions
 from sim.models.safety import SafetyBounds, tick_sagitta
 from sim.models.vehicles import Motion, norm, step_vehicle
 
-NUMBERS: dict[str, Any] = PROMISED | {"eps": 0.3, "age": 5.0}
+NUMBERS: dict[str, Any] = DECLARED_BOUNDS | {"eps": 0.3, "age": 5.0}
 
 seeds = st.integers(0, 2**32 - 1)
 errors = st.sampled_from([0.0, 0.3, 0.9, 1.5])
@@ -34,7 +34,7 @@ shares = st.floats(0.0, 1.0)
 
 
 @functools.cache
-def promise(**numbers: float) -> SafetyBounds:
+def bounds_with(**numbers: float) -> SafetyBounds:
     return certified(**{**NUMBERS, **numbers})
 
 
@@ -43,21 +43,21 @@ NOW = 400
 
 
 def seen(*detections: tuple[float, float, int], eps: float = 0.3) -> RecordArray:
-    """Return the discs of these detections and no others."""
+    """Return the discs of these detections only."""
     kept = discs.no_discs()
     kept[: len(detections)] = [(x, y, eps, tick) for x, y, tick in detections]
     return kept
 
 
 def in_disc(rng: np.random.Generator, radius: float) -> FloatArray:
-    """A point of a disc, on its circle every other time."""
+    """Return a point of a disc; every other time it lies on the circle."""
     angle = rng.uniform(0.0, 2.0 * math.pi)
     size = radius * (1.0 if rng.random() < 0.5 else math.sqrt(rng.random()))
     return size * np.array([math.cos(angle), math.sin(angle)])
 
 
 def away(p: FloatArray, g: FloatArray) -> FloatArray:
-    """The direction in which a UGV at g flees a UAV at p."""
+    """Return the direction in which a UGV at g flees from a UAV at p."""
     length = float(np.linalg.norm(g - p))
     return (g - p) / length if length > 0.0 else np.array([1.0, 0.0])
 
@@ -65,9 +65,9 @@ def away(p: FloatArray, g: FloatArray) -> FloatArray:
 @given(seeds, errors)
 @settings(PROPERTY, max_examples=60)
 def test_the_certified_distance_is_never_less_than_the_distance(seed: int, eps: float) -> None:
-    """Any UGV within its speed, any error within eps, late and overtaking detections, and gaps."""
+    """Cover any UGV within its speed, any error within eps, late and overtaking detections, and gaps."""
     rng = np.random.default_rng(seed)
-    q, kept, g, p = promise(eps=eps), discs.no_discs(), rng.normal(size=2), rng.normal(size=2)
+    q, kept, g, p = bounds_with(eps=eps), discs.no_discs(), rng.normal(size=2), rng.normal(size=2)
     pending: list[tuple[float, float, int]] = []
     newest = -1
     for tick in range(400):
@@ -81,16 +81,16 @@ def test_the_certified_distance_is_never_less_than_the_distance(seed: int, eps: 
             assert kept["tick"].max() == newest
             assert kept["tick"][discs.newest_disc(kept)] == newest
         assert np.linalg.norm(p - g) <= discs.certified_distance(q, kept, tick, *p) + 1e-9
-        course = in_disc(rng, V_G) if rng.random() < 0.2 else V_G * away(p, g)
-        g = g + DT * course
+        step = in_disc(rng, V_G) if rng.random() < 0.2 else V_G * away(p, g)
+        g = g + DT * step
         p = p + DT * in_disc(rng, V_A)
 
 
 @given(seeds, errors)
 @settings(PROPERTY, max_examples=60)
-def test_what_is_dropped_can_only_raise_the_bound(seed: int, eps: float) -> None:
+def test_dropped_discs_can_only_raise_the_bound(seed: int, eps: float) -> None:
     rng = np.random.default_rng(seed)
-    q, kept, g = promise(eps=eps), discs.no_discs(), np.zeros(2)
+    q, kept, g = bounds_with(eps=eps), discs.no_discs(), np.zeros(2)
     every: list[tuple[float, float, float, int]] = []
     for tick in range(60):
         g = g + DT * in_disc(rng, V_G)
@@ -100,7 +100,7 @@ def test_what_is_dropped_can_only_raise_the_bound(seed: int, eps: float) -> None
         full = np.array(every, dtype=kept.dtype)
         bound, least = (discs.certified_distance(q, rows, tick, *p) for rows in (kept, full))
         assert bound >= least
-        if tick < discs.KEPT:  # only what another makes superfluous has gone
+        if tick < discs.KEPT:  # only superfluous discs were dropped
             assert bound == pytest.approx(least, abs=1e-12)
 
 
@@ -111,7 +111,7 @@ def test_late_detection_never_replaces_a_newer_one(
     """Both discs of a UGV that cannot move are equal."""
     kept = discs.no_discs()
     for taken in (10, 1, 10):
-        discs.add_disc(promise(v_g=v_g), kept, discs.Disc(1.0, 0.5, 0.3, taken), 10, 0.0, 0.0)
+        discs.add_disc(bounds_with(v_g=v_g), kept, discs.Disc(1.0, 0.5, 0.3, taken), 10, 0.0, 0.0)
         assert kept["tick"].max() == 10
 
 
@@ -120,14 +120,14 @@ def test_late_detection_never_replaces_a_newer_one(
 @example(16_004, 5e-4)
 @example(290, 1e-3)
 def test_commands_act_in_the_tick_of_their_delivery(ms: int, dt: float) -> None:
-    """A delay is a whole number of ticks but for rounding, for the link and for the certificate alike."""
+    """A delay is a whole number of ticks up to rounding, for the link and for the certificate alike."""
     bounds = certified(**{**NUMBERS, "dt": dt, "delay": 0.001 * ms, "age": math.inf})
     assert bounds.delay_ticks == first_tick_from(0.001 * ms, dt)
 
 
 def test_the_bound_without_a_detection_is_infinite() -> None:
     kept = discs.no_discs()
-    assert discs.certified_distance(promise(), kept, 20, 0.0, 0.0) == math.inf
+    assert discs.certified_distance(bounds_with(), kept, 20, 0.0, 0.0) == math.inf
     assert discs.newest_disc(discs.no_discs()) == -1
 
 
@@ -136,7 +136,7 @@ def test_detections_that_cannot_both_be_right_are_noticed() -> None:
         for stamp in (40, 0):
             kept = seen((0.0, 0.0, 20))
             found = discs.add_disc(
-                promise(), kept, discs.Disc(apart, 0.0, 0.3, stamp), 60, 0.0, 0.0
+                bounds_with(), kept, discs.Disc(apart, 0.0, 0.3, stamp), 60, 0.0, 0.0
             )
             assert found is agrees
 
@@ -147,7 +147,7 @@ radii = st.floats(0.05, 4.0)
 
 @given(points, points, points, points, radii, radii, seeds)
 @settings(PROPERTY, max_examples=300)
-def test_the_farthest_point_of_a_lens_is_farthest_and_in_it(p_x, p_y, b_x, b_y, r_a, r_b, seed):
+def test_farthest_point_of_a_lens_is_in_it_and_farthest(p_x, p_y, b_x, b_y, r_a, r_b, seed):
     rng = np.random.default_rng(seed)
     assume(norm(b_x, b_y) < r_a + r_b - 1e-3)
     found = discs.lens_distance(p_x, p_y, 0.0, 0.0, r_a, b_x, b_y, r_b)
@@ -169,7 +169,7 @@ def test_the_farthest_point_of_a_lens_is_farthest_and_in_it(p_x, p_y, b_x, b_y, 
 
 
 def test_discs_equal_up_to_rounding_give_the_bound_of_one() -> None:
-    """Found by the attack, 3.9 m instead of 4.7 m: the formula of the corners divides by the gap, here 2e-16 m."""
+    """The attack found 3.9 m instead of 4.7 m: the formula of the corners divides by the gap, here 2e-16 m."""
     for steps in range(-5, 6):
         for other in range(-5, 6):
             r_b, b_x = 0.92 + steps * 1.2e-16, -1.91 + other * 2.3e-16
@@ -187,9 +187,9 @@ def test_motion_between_rests_keeps_bounds_and_is_exact(way: float, dt: float) -
     assert (2 * turn + cruise) * dt <= way / V_A + V_A / U_A + 2.0 * dt + 1e-9
 
 
-def ways_down(**numbers: float) -> list[float]:
-    """R_h and r_cert of a certificate; a radius that there is not counts as none."""
-    q = promise(**numbers)
+def radii_of(**numbers: float) -> list[float]:
+    """Return R_h and r_cert of a certificate; a missing radius counts as -1."""
+    q = bounds_with(**numbers)
     radius = handover.certified_radius(q)
     return [-1.0 if math.isnan(x) else x for x in (q.handover_radius, radius)]
 
@@ -208,34 +208,34 @@ def ways_down(**numbers: float) -> list[float]:
     ],
 )
 def test_the_radii_move_with_each_number_in_one_direction(name, values, sign):
-    rows = [ways_down(**{name: value}) for value in values]
+    rows = [radii_of(**{name: value}) for value in values]
     for less, more in itertools.pairwise(rows):
         assert all(sign * (b - a) >= -1e-9 for a, b in zip(less, more, strict=True))
     assert rows[0] != rows[-1]
 
 
 def test_perfect_information_gives_the_papers_certified_radius() -> None:
-    q = promise(dt=0.002, eps=0.0, age=0.0)
+    q = bounds_with(dt=0.002, eps=0.0, age=0.0)
     radius = handover.certified_radius(q)
     assert R_S - 0.02 < radius < R_S
 
 
 def test_a_delay_of_commands_counts_as_age() -> None:
-    """A plan begins when its first command acts, and all that is known is older by then."""
+    """A plan starts when its first command acts; by then all information is older."""
     assert (
-        promise(age=14.0, delay=1.0).handover_radius
-        == promise(age=15.0).handover_radius
-        < promise(age=14.0).handover_radius
+        bounds_with(age=14.0, delay=1.0).handover_radius
+        == bounds_with(age=15.0).handover_radius
+        < bounds_with(age=14.0).handover_radius
     )
-    assert promise(age=14.0, delay=1.0).handover_bound == promise(age=15.0).handover_bound
-    assert math.isnan(promise(age=17.0, delay=1.0).handover_radius)
+    assert bounds_with(age=14.0, delay=1.0).handover_bound == bounds_with(age=15.0).handover_bound
+    assert math.isnan(bounds_with(age=17.0, delay=1.0).handover_radius)
 
 
 def test_the_shipped_numbers() -> None:
-    q = promise(age=0.05)
+    q = bounds_with(age=0.05)
     assert handover.certified_radius(q) == pytest.approx(3.61, abs=0.01)
-    assert handover.check_assumptions(promise(age=15.05)) == ()
-    assert promise(age=15.05).valid
+    assert handover.check_assumptions(bounds_with(age=15.05)) == ()
+    assert bounds_with(age=15.05).valid
     assert 17.0 < handover.largest_age(q) < 18.0
 
 
@@ -251,31 +251,31 @@ def test_the_servo_keeps_the_bound_and_stops_at_its_point(p_x, p_y, share, angle
 
 
 def ticks_left(memory: RecordArray) -> int:
-    """The time that the plan that is held still takes."""
+    """Return the remaining ticks of the committed plan."""
     return sum(int(memory[0][part]) for part in ("turn", "cruise", "brake"))
 
 
 def last_seen_in(x: float, y: float, radius: float, tick: int) -> RecordArray:
-    """A memory without a plan, but of the disc that held the UGV when the last was checked."""
+    """Return a memory without a plan whose last checked disc is this one."""
     memory = no_motions(1)
     c.set_end(memory, discs.Disc(x, y, radius, tick))
     return memory
 
 
 def fly_plan(
-    promise: SafetyBounds, held: RecordArray, state: list[float], g: FloatArray
+    bounds: SafetyBounds, committed: RecordArray, state: list[float], g: FloatArray
 ) -> list[float]:
-    """Let the plan that is held act to its end while a UGV at g flees as fast as it may; the distances."""
-    end, (p_x, p_y, v_x, v_y) = held["end"][0].copy(), state
+    """Follow the committed plan to its end while the UGV at g flees at full speed; return the distances."""
+    end, (p_x, p_y, v_x, v_y) = committed["end"][0].copy(), state
     distances = [norm(p_x - g[0], p_y - g[1])]
-    while ticks_left(held):
-        u_x, u_y = c.follow(promise, held, v_x, v_y)
-        assert norm(u_x, u_y) <= promise.u_a * (1.0 + 1e-9)
-        g = g + promise.v_g * promise.dt * away(np.array([p_x, p_y]), g)
+    while ticks_left(committed):
+        u_x, u_y = c.follow(bounds, committed, v_x, v_y)
+        assert norm(u_x, u_y) <= bounds.u_a * (1.0 + 1e-9)
+        g = g + bounds.v_g * bounds.dt * away(np.array([p_x, p_y]), g)
         p_x, p_y, v_x, v_y, _, _ = step_vehicle(
-            p_x, p_y, v_x, v_y, u_x, u_y, promise.v_a, promise.u_a, promise.dt
+            p_x, p_y, v_x, v_y, u_x, u_y, bounds.v_a, bounds.u_a, bounds.dt
         )
-        assert 0.0 - 1e-6 <= p_x <= promise.width + 1e-6 or promise.width == math.inf
+        assert 0.0 - 1e-6 <= p_x <= bounds.width + 1e-6 or bounds.width == math.inf
         distances.append(norm(p_x - g[0], p_y - g[1]))
     assert norm(v_x, v_y) <= 2e-9
     assert norm(p_x - end[0], p_y - end[1]) <= 1e-8
@@ -289,7 +289,7 @@ def test_plan_keeps_every_possible_ugv_in_sight(
     kind, far, where, share, angle, eps, age, seed
 ) -> None:
     rng = np.random.default_rng(seed)
-    q = promise(eps=eps, age=age)
+    q = bounds_with(eps=eps, age=age)
     assume(not math.isnan(q.handover_radius))
     width = 20.0 if seed % 2 else math.inf
     q = q._replace(width=width, height=width)
@@ -318,8 +318,8 @@ def test_plan_keeps_every_possible_ugv_in_sight(
 def test_handover_at_rest_reaches_every_later_detection(
     far: float, young: float, where: float, turned: float, eps: float, age: float, slack: float
 ) -> None:
-    """The hand-over: the only step of the proof that looks beyond what a plan was checked against."""
-    q = promise(eps=eps, age=age)
+    """The hand-over is the only step of the proof that goes beyond the checks of a plan."""
+    q = bounds_with(eps=eps, age=age)
     assume(not math.isnan(q.handover_radius))
     young_ticks = math.floor(young * age / DT)
     rho = eps + young_ticks * V_G * DT
@@ -337,7 +337,7 @@ def test_handover_at_rest_reaches_every_later_detection(
 def test_within_the_certified_radius_every_inner_control_acts(
     far: float, where: float, share: float, angle: float, wanted: float, eps: float
 ) -> None:
-    q = promise(eps=eps, age=1.0)
+    q = bounds_with(eps=eps, age=1.0)
     room = handover.certified_radius(q) - eps
     x, y = far * room * math.cos(where), far * room * math.sin(where)
     v_x, v_y = share * V_A * math.cos(angle), share * V_A * math.sin(angle)
@@ -360,7 +360,7 @@ def test_within_the_certified_radius_every_inner_control_acts(
 )
 def test_beyond_the_certified_radius_the_filter_acts(detections, here, wanted, answer):
     found = decision.choose_control(
-        promise(age=1.0), seen(*detections), no_motions(1), 0, Motion(*here), *wanted
+        bounds_with(age=1.0), seen(*detections), no_motions(1), 0, Motion(*here), *wanted
     )
     assert found == pytest.approx(answer)
 
@@ -380,11 +380,11 @@ def test_beyond_the_certified_radius_the_filter_acts(detections, here, wanted, a
         ({"eps": 4.0}, r"up to 5 m .* for no max_measurement_age"),
     ],
 )
-def test_an_assumption_that_fails_names_itself_with_its_numbers(numbers, text):
-    (reason,) = handover.check_assumptions(promise(**numbers))
+def test_failed_assumption_is_named_with_its_numbers(numbers, text):
+    (reason,) = handover.check_assumptions(bounds_with(**numbers))
     assert re.search(text, reason), reason
-    assert math.isnan(promise(**numbers).handover_radius)
-    assert not promise(**numbers).valid
+    assert math.isnan(bounds_with(**numbers).handover_radius)
+    assert not bounds_with(**numbers).valid
 
 
 @pytest.mark.parametrize(
@@ -396,18 +396,18 @@ def test_an_assumption_that_fails_names_itself_with_its_numbers(numbers, text):
     ],
 )
 def test_incomputable_numbers_are_not_certified(numbers: dict[str, float], text: str) -> None:
-    (reason,) = handover.check_assumptions(promise(**numbers))
+    (reason,) = handover.check_assumptions(bounds_with(**numbers))
     assert text in reason
-    assert not promise(**numbers).valid
+    assert not bounds_with(**numbers).valid
 
 
-def test_a_detection_is_of_use_for_as_long_as_is_declared() -> None:
-    assert track_ticks(promise(age=1.0)) == 2400
-    assert track_ticks(promise(age=200.0, v_g=0.001)) == 4001
+def test_detection_is_used_up_to_the_declared_age() -> None:
+    assert track_ticks(bounds_with(age=1.0)) == 2400
+    assert track_ticks(bounds_with(age=200.0, v_g=0.001)) == 4001
 
 
-def test_lost_commands_cost_the_longest_motion_gap_less_a_tick() -> None:
-    perfect, tick, lossy = (promise(age=1.0, outage=b) for b in (0.0, 0.05, 2.0))
+def test_lost_commands_cost_the_command_interval_less_a_tick() -> None:
+    perfect, tick, lossy = (bounds_with(age=1.0, interval=b) for b in (0.0, 0.05, 2.0))
     assert perfect == tick
     assert lossy.handover_radius == pytest.approx(perfect.handover_radius)
     assert lossy.handover_bound == pytest.approx(
@@ -419,7 +419,7 @@ ROOM = {"age": 1.0, "width": 10.0, "height": 10.0}
 
 
 def test_a_vehicle_that_is_driven_into_a_wall_keeps_a_plan_there() -> None:
-    q = promise(**ROOM)
+    q = bounds_with(**ROOM)
     detections, plan = seen((2.0, 5.0, 0)), no_motions(1)
     here, least = Motion(2.0, 5.0, 0.0, 0.0), 2.0
     for tick in range(400):
@@ -435,9 +435,9 @@ def test_a_vehicle_that_is_driven_into_a_wall_keeps_a_plan_there() -> None:
 @example(0.0, 1.0, 1e-9, 4.0, 22985)
 @settings(PROPERTY, max_examples=300)
 def test_a_wall_takes_only_residual_velocity_from_a_plan(x, y, share, angle, seed):
-    """A wall that takes more would take the UAV off its plan."""
+    """A wall that removes more velocity would push the UAV off its plan."""
     rng = np.random.default_rng(seed)
-    q = promise(**ROOM)
+    q = bounds_with(**ROOM)
     near = 10.0 ** rng.uniform(-13.0, -5.0)
     places = (near, 10.0 - near, 0.0, 10.0)
     x, y = (float(rng.choice([one, *places, max(0.0, min(one, 10.0))])) for one in (x, y))
@@ -455,16 +455,16 @@ def test_a_wall_takes_only_residual_velocity_from_a_plan(x, y, share, angle, see
         q, detections, c.end_disc(no_motions(1)), 0, 0, Motion(x, y, v_x, v_y)
     )
     for make in (c.stop_from, c.return_from):
-        held = no_motions(1)
-        if not make(q, known, held, 0, Motion(x, y, v_x, v_y)):
+        committed = no_motions(1)
+        if not make(q, known, committed, 0, Motion(x, y, v_x, v_y)):
             continue
         assert 0.0 <= x <= 10.0
         assert 0.0 <= y <= 10.0
         state = Motion(x, y, v_x, v_y)
         # A wall removes at most 1e-10 m/s, the residual velocity that a plan may start with.
-        drift = 1e-11 + 1e-10 * max(1.0, ticks_left(held) * q.dt)
-        while ticks_left(held):
-            u_x, u_y = c.follow(q, held, state.v_x, state.v_y)
+        drift = 1e-11 + 1e-10 * max(1.0, ticks_left(committed) * q.dt)
+        while ticks_left(committed):
+            u_x, u_y = c.follow(q, committed, state.v_x, state.v_y)
             free = step_vehicle(*state, u_x, u_y, q.v_a, q.u_a, q.dt)[:4]
             state, _ = step_in_area(q, state, u_x, u_y)
             assert np.allclose(state, free, rtol=0.0, atol=drift)
@@ -472,8 +472,8 @@ def test_a_wall_takes_only_residual_velocity_from_a_plan(x, y, share, angle, see
 
 @pytest.mark.parametrize("steps", range(-4, 5))
 def test_discs_touching_up_to_rounding_give_their_common_point(steps: int) -> None:
-    """With errors of norm exactly eps and a UGV straight at v_g the newest disc touches the others, and a rounding
-    decided.
+    """With errors of norm exactly eps and a UGV straight at v_g, the newest disc touches the others; rounding must not
+    matter.
     """
     for k in range(1, 40):
         r_a, r_b, angle = 0.3 + 0.01 * k, 4.2 - 0.013 * k, 0.37 * k

@@ -1,4 +1,4 @@
-"""Whole flights over networks that break what the certificate assumes: no tick is certified while sight is lost."""
+"""Whole runs over networks that break the certificate's assumptions: no tick is certified while sight is lost."""
 
 import math
 
@@ -14,7 +14,7 @@ from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
 R_V = 4.75
-DARK = "links.detections.blackouts=[[30.0, 20.0], [80.0, 30.0]]"
+BLACKOUTS = "links.detections.blackouts=[[30.0, 20.0], [80.0, 30.0]]"
 CALM = ("ugv.0.driver=waypoints",)
 LATE = ("links.commands.delay=0.5", "command_timeout=1.5", "certificate.max_measurement_age=5.0")
 PERFECT = ("detections.noise=0.0", "detections.dropout=0.0")
@@ -26,7 +26,7 @@ LATER, DECLARED = (
 )
 
 BROKEN = {
-    "regained with commands under way": ((*PERFECT, *LATE, DARK), 7),
+    "regained with commands under way": ((*PERFECT, *LATE, BLACKOUTS), 7),
     "later than declared": ((*PERFECT, *LATE, "certificate.max_command_delay=0.45"), 7),
     "narrowband": ((NARROW, *SLOW), 8),
     "jammed": ((JAMMED, *SLOW), 9),
@@ -39,44 +39,44 @@ BROKEN = {
     "narrowband without noise": ((*PERFECT, NARROW, *SLOW), 7),
     "jammed without noise": ((*PERFECT, JAMMED, *SLOW), 11),
 }
-"""Networks that break what is declared of the commands or of the detections' age, and a seed.
+"""Networks that break the declared command delay or measurement age, and a seed.
 
-With 11 a filter that looks only at the state when its command acts certifies what is lost.
+With seed 11, a filter that checks only the state at which its command acts certifies a lost tick.
 """
 
 
-def told(changes, seed, on_tick=None):
-    """Return for each tick whether it was certified, and the true distance [m]; check that no violation was counted."""
+def decisions_and_distances(changes, seed, on_tick=None):
+    """Return whether each tick was certified, and its true distance [m]; check that no violation was counted."""
     base = ("law.name=certified", "ugv.0.driver=evade", "area.cell=0.5", "duration=160.0")
     scenario = load_scenario("escort", overrides=[*base, *changes])
     flight = Flight(scenario, seed)
-    said: list[bool | None] = []
+    claims: list[bool | None] = []
 
-    def note() -> None:
+    def append_claim() -> None:
         report = flight.answers.reports[0]
         decision = None if report is None else report.decision
-        said.append(None if decision is None else decision.certified)
+        claims.append(None if decision is None else decision.certified)
         if on_tick is not None:
             on_tick(flight)
 
-    flight.fly(InProcess(make_pilots(scenario, seed)), on_tick=note)
+    flight.fly(InProcess(make_pilots(scenario, seed)), on_tick=append_claim)
     counted = (
         flight.answers.assurance.certified_while_lost,
         flight.answers.assurance.certificate_broken,
     )
     assert counted == (0, 0)
-    return list(zip(said, flight.recorder.escorts[:-1, 0, 0].tolist(), strict=True))
+    return list(zip(claims, flight.recorder.escorts[:-1, 0, 0].tolist(), strict=True))
 
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_undeclared_command_delay_certifies_no_tick_beyond_r_v(name: str) -> None:
-    ticks = told(*BROKEN[name])
+    ticks = decisions_and_distances(*BROKEN[name])
     assert not [distance for certified, distance in ticks if certified and distance >= R_V]
     assert {certified for certified, _ in ticks} >= {True, False}
 
 
 def test_changed_law_is_certified_from_its_own_commands_on():
-    """The filter once believed that nothing was under way."""
+    """The filter once ignored the pending commands."""
 
     def change(flight: Flight) -> None:
         if flight.world.tick % 400 == 200:
@@ -84,7 +84,7 @@ def test_changed_law_is_certified_from_its_own_commands_on():
         if flight.world.tick % 400 == 0:
             flight.order(Law(name="certified"))
 
-    ticks = told(
+    ticks = decisions_and_distances(
         (
             *PERFECT,
             *CALM,
@@ -108,14 +108,14 @@ def test_changed_links_are_not_certified_beyond_r_v() -> None:
         if flight.world.tick % 200 == 0:
             flight.degrade(LinkKind.COMMANDS, "uav_0", LinkSettings(delay=0.5))
 
-    ticks = told((*PERFECT, *LATE), 8, change)
+    ticks = decisions_and_distances((*PERFECT, *LATE), 8, change)
     assert not [distance for certified, distance in ticks if certified and distance >= R_V]
     assert any(certified is False for certified, _ in ticks[100:])
     assert any(certified is True for certified, _ in ticks[300:])
 
 
 def test_residual_velocity_at_a_wall_keeps_the_certificate() -> None:
-    """A wall takes the velocity that leads into it; the plan that is flown must not add it again."""
+    """A wall removes the velocity that leads into it; the current plan must not add it again."""
     scenario = load_scenario(
         "escort",
         overrides=[

@@ -1,4 +1,4 @@
-"""Certificates in the place of passwords: who is let in over real TLS, what the others are told, and renewal."""
+"""Certificates instead of passwords: admission over real TLS, error messages, and renewal."""
 
 import json
 import stat
@@ -66,7 +66,7 @@ def known_as(found: Identity) -> Credential:
 
 
 def refusal(endpoint: str, credential: Credential | None) -> str:
-    """The one line with which our client says that it is not let in."""
+    """Return the line with which our client reports that it is not admitted."""
     with (
         pytest.raises(AccessDenied) as caught,
         open_session(UAV.party, RUN, connect=endpoint, credential=credential),
@@ -98,7 +98,7 @@ def mixed(**parts: str) -> Identity:
 
 
 @pytest.mark.parametrize(
-    ("made", "told"),
+    ("made", "phrase"),
     [
         (lambda: identity("ugv_0"), "the certificate of uav_0 is for ugv_0"),
         (lambda: identity(days=-0.5), "the certificate of uav_0 has expired on"),
@@ -112,14 +112,14 @@ def mixed(**parts: str) -> Identity:
     ],
     ids=["another's", "expired", "another key", "another authority", "garbage", "garbage key"],
 )
-def test_invalid_certificate_is_named_before_connecting(made, told):
-    with pytest.raises(AccessDenied, match=told):
+def test_invalid_certificate_is_named_before_connecting(made, phrase):
+    with pytest.raises(AccessDenied, match=phrase):
         check_identity(made(), "uav_0")
-    assert told in refusal("tls/127.0.0.1:1", known_as(made()))
+    assert phrase in refusal("tls/127.0.0.1:1", known_as(made()))
 
 
 @pytest.mark.parametrize(
-    ("kind", "told"),
+    ("kind", "phrase"),
     rows("""
 no certificate | requires certificates; make them with `outrider credentials --tls`
 a password | requires certificates; make them with `outrider credentials --tls`
@@ -130,7 +130,7 @@ expired | says that this certificate has expired
 """),
 )
 def test_router_refuses_strangers_with_a_reason(
-    endpoint: str, kind: str, told: str, monkeypatch: pytest.MonkeyPatch
+    endpoint: str, kind: str, phrase: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     foreign = identity(authority=FOREIGN)
     credential = {
@@ -143,20 +143,20 @@ def test_router_refuses_strangers_with_a_reason(
         "a router's certificate": known_as(identity(hosts=("127.0.0.1",))),
         "expired": known_as(identity(days=-0.5)),
     }[kind]
-    monkeypatch.setattr(joining, "_check_certificate", lambda *_: None)  # here the router is asked
+    monkeypatch.setattr(joining, "_check_certificate", lambda *_: None)  # the router decides here
     with hosted(endpoint, GIVEN):
         with pytest.raises(zenoh.ZError):
             raw_session(endpoint, credential)
-        assert told in refusal(endpoint, credential)
+        assert phrase in refusal(endpoint, credential)
 
 
-def test_a_client_trusts_nobody_but_its_router(endpoint, monkeypatch):
-    """Neither a router under a name that its certificate has not, nor another party that listens."""
+def test_client_trusts_only_its_router(endpoint, monkeypatch):
+    """Neither a router with another name in its certificate nor another listening party is trusted."""
     elsewhere = endpoint.replace("127.0.0.1", "127.0.0.2")
     with hosted(elsewhere, GIVEN):
-        told = refusal(elsewhere, UAV)
-    assert "has a certificate that is not for '127.0.0.2'" in told
-    assert "`outrider credentials --tls --router HOST`" in told
+        line = refusal(elsewhere, UAV)
+    assert "has a certificate that is not for '127.0.0.2'" in line
+    assert "`outrider credentials --tls --router HOST`" in line
     thief = CredentialSet(run=RUN, parties=GIVEN.parties, tls=GIVEN.of("ugv_0").tls)
     monkeypatch.setattr(joining, "_check_certificate", lambda *_: None)
     with hosted(endpoint, thief):
@@ -191,24 +191,24 @@ def test_unknown_name_receives_nothing_and_is_logged(endpoint, caplog):
         receives = zenoh_of(router).declare_subscriber("**", zenoh.handlers.RingChannel(10))
         with raw_session(endpoint, stranger) as opened:
             received = opened.declare_subscriber("outrider/**", zenoh.handlers.RingChannel(10))
-            # its own subscriber receives nothing of what it puts
-            told, there = threading.Event(), {"allowed_destination": zenoh.Locality.REMOTE}
+            # its own subscriber does not receive its own messages
+            sent, there = threading.Event(), {"allowed_destination": zenoh.Locality.REMOTE}
             for k in range(250):
                 opened.put(f"outrider/{RUN}/uav_0/command", b"{}", **there)
                 zenoh_of(router).put(f"outrider/{RUN}/uav_0/observation", b"{}", **there)
                 if k >= 20 and caplog.records:
                     break
-                told.wait(0.02)
+                sent.wait(0.02)
             assert receives.try_recv() is None
             assert received.try_recv() is None
-    told = "'nobody' has a certificate of this run's authority, but is not a party of the run"
-    assert told in caplog.text
+    phrase = "'nobody' has a certificate of this run's authority, but is not a party of the run"
+    assert phrase in caplog.text
 
 
 def test_certificates_are_renewed_while_the_router_goes_on(endpoint, monkeypatch):
-    """A session that is there stays also where its certificate ends meanwhile.
+    """A session stays open when its certificate expires.
 
-    The old one is refused then, a new one is let in.
+    A new session needs the new certificate.
     """
     monkeypatch.setattr(joining, "_check_certificate", lambda *_: None)
     seconds = 3.0
@@ -224,15 +224,15 @@ def test_certificates_are_renewed_while_the_router_goes_on(endpoint, monkeypatch
         assert passes(router, early)
 
 
-def test_an_end_is_told_a_month_ahead(endpoint: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_expiry_is_reported_a_month_ahead(endpoint: str, caplog: pytest.LogCaptureFixture) -> None:
     now = datetime.now(UTC)
     assert expiry_warning("uav_0", now + timedelta(days=30, hours=1)) == ""
     assert "uav_0 expires in 30 days" in expiry_warning("uav_0", now + timedelta(days=29, hours=23))
     theirs = issue(AUTHORITY, "router", days=20, hosts=("127.0.0.1",))
     ending = msgspec.structs.replace(GIVEN, tls=theirs)
     with hosted(endpoint, ending), client_of(endpoint, known_as(identity(days=10))):
-        told = [record.getMessage() for record in caplog.records]
-    assert [line.partition(", on")[0] for line in told] == [
+        lines = [record.getMessage() for record in caplog.records]
+    assert [line.partition(", on")[0] for line in lines] == [
         "the certificate of router expires in 20 days",
         "the certificate of uav_0 expires in 10 days",
     ]
@@ -254,22 +254,22 @@ def test_the_command_makes_checks_and_renews(tmp_path, command):
         return run.returncode, json.loads(run.stdout)
 
     assert credentials("--tls", "--run", RUN, "--router", "10.0.0.7")[0] == 0
-    code, told = credentials("--check")
-    days = {Path(row["file"]).stem: row["days"] for row in told["credentials"]}
+    code, report = credentials("--check")
+    days = {Path(row["file"]).stem: row["days"] for row in report["credentials"]}
     assert (code, days.pop("router"), set(days.values())) == (0, 3649, {364})
     assert credentials("--renew", "--party", "uav_0", "--days", "3")[1] == {
         "run": RUN,
         "files": {"uav_0": f"{folder}/uav_0.json"},
     }
-    code, told = credentials("--check")
-    notes = {Path(row["file"]).stem: row["note"] for row in told["credentials"] if row["note"]}
+    code, report = credentials("--check")
+    notes = {Path(row["file"]).stem: row["note"] for row in report["credentials"] if row["note"]}
     assert code == 0
     assert list(notes) == ["uav_0"]
     assert "expires in 3 days" in notes["uav_0"]
     (tmp_path / "made" / "ugv_0.json").write_bytes((tmp_path / "made" / "uav_0.json").read_bytes())
-    code, told = credentials("--check")
+    code, report = credentials("--check")
     assert code == 1
-    bad = [row["note"] for row in told["credentials"] if not row["good"]]
+    bad = [row["note"] for row in report["credentials"] if not row["good"]]
     assert bad == ["the certificate of ugv_0 is for uav_0"]
     refused = command("credentials", folder, "--renew", "--party", "uav_7")
     assert "no party of the run" in refused.stderr

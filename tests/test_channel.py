@@ -1,6 +1,6 @@
 """The radio channel.
 
-Each impairment against its theory, conservation, the same bits, and going on under other settings.
+Each impairment against its theory, conservation of messages, reproducibility, and changes of settings.
 """
 
 import math
@@ -33,16 +33,16 @@ from tabular import words
 MILLION = 1_000_000
 DT = 0.05
 KS = 1.95
-"""KS * n**-0.5 is exceeded by an honest empirical distribution once in a thousand."""
+"""KS * n**-0.5 is exceeded by a correct empirical distribution once in a thousand cases."""
 
 
 @compiled
-def _drive(links, packets, traces, w, first, ticks, each, log, dark):
-    """Send `each` messages in every tick; a row (arrival tick, sent tick, number) in `log` for each that arrives."""
+def _drive(links, packets, traces, w, first, ticks, each, log, in_blackout):
+    """Send `each` messages in every tick; log a row (arrival tick, sent tick, number) for each arrival."""
     n, link = 0, links[w, 0]
     for tick in range(first, first + ticks):
         begin_tick(link, packets, w, traces, tick)
-        dark[tick - first] = link.blackout
+        in_blackout[tick - first] = link.blackout
         for k in range(each):
             packet = packets[w, 0, ARRIVED, 0]
             packet.stamp, packet.block = tick, k
@@ -55,7 +55,7 @@ def _drive(links, packets, traces, w, first, ticks, each, log, dark):
 
 
 class Flown:
-    """A link over which something was sent in every tick."""
+    """A link over which messages were sent in every tick."""
 
     def __init__(self, wanted, ticks, *, dt=DT, each=1, seed=1, link=2):
         self.parameters = link_parameters(check_link(wanted, "test"), dt, per_tick=each)
@@ -63,13 +63,13 @@ class Flown:
         self.links["key"] = a_key(seed, link)
         self.each, self.tick = each, 0
         self.arrived = np.zeros((0, 3), dtype=np.int64)
-        self.go_on(ticks)
+        self.advance(ticks)
 
-    def go_on(self, ticks: int) -> None:
+    def advance(self, ticks: int) -> None:
         rows = 2 * self.each * ticks + self.packets.shape[3]
-        log, self.dark = np.zeros((rows, 3), dtype=np.int64), np.zeros(ticks, dtype=np.int64)
+        log, self.in_blackout = np.zeros((rows, 3), dtype=np.int64), np.zeros(ticks, dtype=np.int64)
         link = self.links, self.packets, self.traces
-        n = _drive(*link, 0, self.tick, ticks, self.each, log, self.dark)
+        n = _drive(*link, 0, self.tick, ticks, self.each, log, self.in_blackout)
         self.tick += ticks
         self.arrived = np.concatenate([self.arrived, log[:n]])
 
@@ -80,15 +80,15 @@ class Flown:
 
     @property
     def delays(self) -> np.ndarray:
-        """In ticks."""
+        """Delay of each arrival [ticks]."""
         return self.arrived[:, 0] - self.arrived[:, 1]
 
     @property
     def missing(self) -> np.ndarray:
-        """For each tick whether what was sent then has not arrived."""
-        gone = np.ones(self.tick, dtype=bool)
-        gone[self.arrived[:, 1]] = False
-        return gone
+        """Ticks whose messages have not arrived."""
+        lost = np.ones(self.tick, dtype=bool)
+        lost[self.arrived[:, 1]] = False
+        return lost
 
     @property
     def status(self) -> LinkStatus:
@@ -102,7 +102,7 @@ class Flown:
 
 
 def _spread(share: float, n: float = MILLION) -> float:
-    """Four standard deviations of a share among so many."""
+    """Return four standard deviations of a share among n messages."""
     return 4.0 * math.sqrt(share * (1.0 - share) / n)
 
 
@@ -118,7 +118,7 @@ def _only(status: LinkStatus, *causes: str) -> bool:
     return not any(number for cause, number in status.lost.items() if cause not in causes)
 
 
-# --- the perfect link, and times
+# --- perfect link, and times
 
 
 def test_a_perfect_link_is_the_identity_and_draws_nothing() -> None:
@@ -152,11 +152,11 @@ def test_message_arrives_at_the_first_tick_after_its_delay(delay, dt, ticks):
 @pytest.mark.parametrize("loss", [0.001, 0.1, 0.9])
 def test_independent_losses_have_their_share_and_no_memory(loss: float) -> None:
     flown = Flown(LinkSettings(loss=loss), MILLION)
-    gone = flown.missing
-    assert gone.mean() == pytest.approx(loss, abs=_spread(loss))
-    assert flown.status.lost["loss"] == gone.sum()
+    lost = flown.missing
+    assert lost.mean() == pytest.approx(loss, abs=_spread(loss))
+    assert flown.status.lost["loss"] == lost.sum()
     assert _only(flown.status, "loss")
-    assert abs(np.corrcoef(gone[:-1], gone[1:])[0, 1]) < 4.0 / math.sqrt(MILLION)
+    assert abs(np.corrcoef(lost[:-1], lost[1:])[0, 1]) < 4.0 / math.sqrt(MILLION)
 
 
 def test_a_share_of_one_is_all_and_of_nought_is_none() -> None:
@@ -169,7 +169,7 @@ def test_a_share_of_one_is_all_and_of_nought_is_none() -> None:
 
 
 def _runs(flags: np.ndarray) -> np.ndarray:
-    """Lengths of the runs of true that begin and end inside."""
+    """Return the lengths of the runs of true values that start and end inside."""
     edges = np.flatnonzero(np.diff(flags.astype(np.int8)))
     if flags[0]:
         edges = edges[1:]
@@ -217,8 +217,8 @@ def test_burst_losses_add_to_independent_losses() -> None:
 @pytest.mark.parametrize("kind", ["burst", "blackout"])
 def test_the_channel_starts_in_its_stationary_state(kind: str) -> None:
     settings = LinkSettings(**{f"{kind}_length": 0.9, f"{kind}_interval": 2.1})
-    gone = [Flown(settings, 1, seed=seed).status.lost[kind] for seed in range(2000)]
-    assert np.mean(gone) == pytest.approx(0.3, abs=_spread(0.3, 2000))
+    lost = [Flown(settings, 1, seed=seed).status.lost[kind] for seed in range(2000)]
+    assert np.mean(lost) == pytest.approx(0.3, abs=_spread(0.3, 2000))
 
 
 # --- blackouts
@@ -227,7 +227,7 @@ def test_the_channel_starts_in_its_stationary_state(kind: str) -> None:
 def test_planned_blackouts_drop_messages_sent_within_them() -> None:
     plan = ((1.0, 0.5), (3.02, 0.1), (0.35, 0.35), (1.2, 0.6), (7.0, 0.01))
     flown = Flown(LinkSettings(delay=0.2, blackouts=plan), 300)
-    flown.go_on(10)
+    flown.advance(10)
     times = np.arange(310) * DT + 1e-9
     wanted = np.any(
         [(times >= start) & (times + 1e-8 < start + length) for start, length in plan], axis=0
@@ -243,19 +243,19 @@ def test_random_blackouts_take_their_share_of_the_time(length: float, interval: 
     share, cycle = length / (length + interval), length + interval
     cycles = MILLION * DT / cycle
     deviation = 4.0 * length * interval / cycle**2 / math.sqrt(cycles) + _spread(share)
-    assert flown.dark.mean() == pytest.approx(share, abs=deviation)
-    assert flown.status.lost["blackout"] == flown.dark.sum() == flown.missing.sum()
+    assert flown.in_blackout.mean() == pytest.approx(share, abs=deviation)
+    assert flown.status.lost["blackout"] == flown.in_blackout.sum() == flown.missing.sum()
 
 
 def test_random_blackouts_are_a_poisson_process() -> None:
-    dark = Flown(
+    in_blackout = Flown(
         LinkSettings(blackout_length=0.5, blackout_interval=1.0), MILLION, dt=0.001
-    ).dark.astype(bool)
-    lit = _runs(~dark) * 0.001
-    lengths, counts = np.unique(_runs(dark), return_counts=True)
+    ).in_blackout.astype(bool)
+    lit = _runs(~in_blackout) * 0.001
+    lengths, counts = np.unique(_runs(in_blackout), return_counts=True)
     assert (
         counts * (np.abs(lengths - 500) > 1)
-    ).sum() < 0.005 * counts.sum()  # two whose gap no tick has seen are one
+    ).sum() < 0.005 * counts.sum()  # two blackouts whose gap contains no tick count as one
     assert stats.kstest(lit, "expon").statistic < KS / math.sqrt(len(lit)) + 0.001
 
 
@@ -326,7 +326,7 @@ def test_duplicates_and_held_back_messages_have_their_shares() -> None:
 
 
 def _pairs(flown: Flown) -> np.ndarray:
-    """Both delays of each message that has arrived twice, the shorter first."""
+    """Return both delays of each message that has arrived twice, the shorter first."""
     order = np.argsort(flown.arrived[:, 1], kind="stable")
     twice = np.bincount(flown.arrived[:, 1])[flown.arrived[order, 1]] == 2
     return flown.delays[order][twice].reshape(-1, 2)
@@ -384,7 +384,7 @@ def test_unfilled_queue_delays_a_burst_message_by_message() -> None:
     assert link.counters().lost == dict.fromkeys(CAUSES, 0)
 
 
-# --- everything together
+# --- combinations
 
 
 shares = st.sampled_from([0.0, 0.0, 0.05, 0.5, 1.0])
@@ -421,18 +421,18 @@ def test_no_message_appears_or_vanishes_and_none_lacks_room(first, then, each, s
         flown.change(wanted)
         assert _conserved(flown.status)
         assert flown.status.in_transit == before.in_transit
-        flown.go_on(200)
-    flown.go_on(200)
+        flown.advance(200)
+    flown.advance(200)
     assert flown.status.queued == flown.status.in_transit == 0
     assert _conserved(flown.status)
 
 
 @given(links(), st.integers(0, 2**53 - 1))
 @settings(PROPERTY)
-def test_the_same_settings_on_the_way_change_nothing(wanted: LinkSettings, seed: int) -> None:
+def test_resetting_equal_settings_changes_nothing(wanted: LinkSettings, seed: int) -> None:
     whole, changed = Flown(wanted, 300, seed=seed), Flown(wanted, 150, seed=seed)
     changed.change(wanted)
-    changed.go_on(150)
+    changed.advance(150)
     assert changed.arrived.tobytes() == whole.arrived.tobytes()
     assert changed.status == whole.status
 
@@ -449,38 +449,38 @@ def test_messages_beyond_capacity_are_counted() -> None:
 def test_long_delayed_packet_leaves_room_for_others() -> None:
     flown = Flown(LinkSettings(delay=10.0), 2)
     flown.change(LinkSettings(delay=0.05))
-    flown.go_on(250)
+    flown.advance(250)
     assert flown.status.lost["full"] == 0
     assert flown.status.delivered == 251
 
 
-# --- the same bits
+# --- reproducibility
 
 
 LATE = {"delay": 0.1, "jitter": 0.1, "jitter_shape": "pareto", "reorder": 0.1, "reorder_delay": 0.1}
 BURSTS = {"burst_length": 0.3, "burst_interval": 1.0, "burst_loss": 0.8}
-DARK = {"blackout_interval": 5.0, "blackout_length": 0.5}
-BUSY = LinkSettings(loss=0.1, bandwidth=15.0, duplicates=0.1, **LATE, **BURSTS, **DARK)
+BLACKOUTS = {"blackout_interval": 5.0, "blackout_length": 0.5}
+BUSY = LinkSettings(loss=0.1, bandwidth=15.0, duplicates=0.1, **LATE, **BURSTS, **BLACKOUTS)
 
 
-def test_a_link_does_the_same_twice_and_whatever_other_links_do() -> None:
+def test_link_is_reproducible_and_independent_of_other_links() -> None:
     alone = Flown(BUSY, 2000, seed=5, link=3).bits
     assert Flown(BUSY, 2000, seed=5, link=3).bits == alone
     links, packets, traces = new_links([link_parameters(BUSY, DT)], worlds=7)
     for world in range(7):
         links["key"][world] = a_key(5 + world, 3)
-    log, dark, arrived = np.zeros((9000, 3), dtype=np.int64), np.zeros(1, dtype=np.int64), []
+    log, in_blackout, arrived = np.zeros((9000, 3), dtype=np.int64), np.zeros(1, dtype=np.int64), []
     for tick in range(2000):
         for world in (6, 3, 2, 0, 1, 4, 5):
-            found = _drive(links, packets, traces, world, tick, 1, 1, log, dark)
+            found = _drive(links, packets, traces, world, tick, 1, 1, log, in_blackout)
             arrived += log[:found].tolist() if world == 0 else []
     links["key"] = 0
     assert repr(links[0].tolist()).encode() + np.array(arrived, dtype=np.int64).tobytes() == alone
 
 
-def test_neighbours_in_number_link_and_seed_share_no_luck() -> None:
+def test_neighbouring_numbers_links_and_seeds_are_independent() -> None:
     def table(number: int, seed: int, link: int) -> np.ndarray:
-        """The delay of each message of this number within its tick; -1: lost."""
+        """Return the delay of each message with this number in its tick; -1: lost."""
         settings = LinkSettings(delay=0.5, jitter=0.5, loss=0.3)
         flown = Flown(settings, 20_000, dt=0.01, each=2, seed=seed, link=link)
         delays, chosen = np.full(20_000, -1), flown.arrived[:, 2] == number
@@ -496,7 +496,7 @@ def test_neighbours_in_number_link_and_seed_share_no_luck() -> None:
 
 @pytest.mark.parametrize("field", ["loss", "burst_loss", "duplicates", "reorder"])
 def test_a_greater_share_takes_the_same_messages_and_more(field: str) -> None:
-    """Draws stay when settings change, so two settings can be compared on the same luck."""
+    """Draws do not depend on settings, so two settings can be compared on the same random numbers."""
     settled = msgspec.structs.replace(
         BUSY, bandwidth=0.0, loss=0.0, burst_loss=0.0, duplicates=0.0, reorder=0.0, jitter=0.0
     )
@@ -512,27 +512,27 @@ def test_a_greater_share_takes_the_same_messages_and_more(field: str) -> None:
     assert seen[1] < seen[0]
 
 
-# --- going on under other settings
+# --- changes of settings
 
 
 def test_new_settings_leave_messages_in_flight_unchanged() -> None:
     flown = Flown(LinkSettings(delay=1.0), 30)
     flown.change(LinkSettings(delay=0.1, loss=1.0))
-    flown.go_on(40)
+    flown.advance(40)
     assert flown.arrived[:, :2].tolist() == [[k + 20, k] for k in range(30)]
     assert flown.status.lost["loss"] == 40
     flown.change(LinkSettings())
-    flown.go_on(5)
+    flown.advance(5)
     assert flown.arrived[-5:, 0].tolist() == flown.arrived[-5:, 1].tolist() == [70, 71, 72, 73, 74]
 
 
-def test_what_waits_leaves_at_the_new_pace() -> None:
+def test_waiting_messages_leave_at_the_new_rate() -> None:
     flown = Flown(LinkSettings(bandwidth=1.0, queue=8, keep="oldest"), 49)
     flown.change(LinkSettings(bandwidth=4.0, queue=8, keep="oldest"))
-    flown.go_on(13)
+    flown.advance(13)
     assert flown.arrived[:, 0].tolist() == [0, 20, 40, 49, 50, 55, 60]
     flown.change(LinkSettings(delay=0.1))
-    flown.go_on(3)
+    flown.advance(3)
     assert flown.status.queued == 0
     assert flown.arrived[7:, 0].tolist() == [64] * 9
 
@@ -542,25 +542,25 @@ def test_a_shorter_queue_drops_what_it_would_not_keep(keep: str) -> None:
     flown = Flown(LinkSettings(bandwidth=0.1, queue=6, keep=keep), 7)
     flown.change(LinkSettings(bandwidth=20.0, queue=2, keep=keep))
     assert flown.status.lost["queue"] == 4
-    flown.go_on(2)
+    flown.advance(2)
     assert flown.arrived[1:3, 1].tolist() == ([5, 6] if keep == "newest" else [1, 2])
 
 
-def test_a_burst_and_a_blackout_go_on_under_other_settings() -> None:
+def test_burst_and_blackout_continue_under_other_settings() -> None:
     for kind, after in (
         ("burst", LinkSettings(burst_length=2e5, burst_interval=1.0, delay=0.1)),
         ("blackout", LinkSettings(blackout_length=0.1, blackout_interval=1.0)),
     ):
         flown = Flown(LinkSettings(**{f"{kind}_length": 1e5, f"{kind}_interval": 1.0}), 50)
         flown.change(after)
-        flown.go_on(50)
+        flown.advance(50)
         assert len(flown.arrived) == 0
         flown.change(LinkSettings())
-        flown.go_on(50)
+        flown.advance(50)
         assert len(flown.arrived) == 50
 
 
-# --- age, and the link for Python objects
+# --- age of information, and the link for Python objects
 
 
 def test_age_of_information_is_that_of_the_newest_delivery() -> None:
@@ -578,7 +578,7 @@ def test_age_of_information_is_that_of_the_newest_delivery() -> None:
     assert link.counters().max_age == pytest.approx(max(ages))
 
 
-def test_late_messages_make_the_known_no_older() -> None:
+def test_late_messages_do_not_increase_the_age() -> None:
     flown = Flown(LinkSettings(delay=0.2, reorder=0.5, reorder_delay=1.0), 300)
     newest, total = -1, 0
     for tick in range(300):

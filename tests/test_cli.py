@@ -1,4 +1,4 @@
-"""The command line: help with examples, one clear line for bad input, one JSON object where it is asked for."""
+"""The command line: help with examples, one clear line for bad input, one JSON object on request."""
 
 import json
 import re
@@ -33,7 +33,7 @@ LIBRARIES |= {"mavlink": "pymavlink", "ros2": "rosbags", "dashboard": "nicegui"}
 
 
 def needs(arguments: str) -> None:
-    """Skip the test where the command's extension or library is not installed."""
+    """Skip a test whose extension or library is not installed."""
     name, *others = arguments.split() or [""]
     module = EXTENSIONS.get(name, "outrider")
     wanted = {module, LIBRARIES.get(name, "outrider")}
@@ -46,12 +46,12 @@ def needs(arguments: str) -> None:
 def test_every_help_has_an_example_and_fits_80_columns(name, command, monkeypatch) -> None:
     needs(name)
     monkeypatch.setenv("COLUMNS", "80")
-    told = command(*name.split(), "--help").stdout
-    assert max(map(len, told.splitlines())) <= 80
-    assert "…" not in told
-    assert name not in NAMES or f"Example: outrider {name}" in " ".join(told.split())
-    assert not re.search(r"\w\.\.\.$", told, re.MULTILINE)
-    assert "<bool>" not in told
+    help_text = command(*name.split(), "--help").stdout
+    assert max(map(len, help_text.splitlines())) <= 80
+    assert "…" not in help_text
+    assert name not in NAMES or f"Example: outrider {name}" in " ".join(help_text.split())
+    assert not re.search(r"\w\.\.\.$", help_text, re.MULTILINE)
+    assert "<bool>" not in help_text
 
 
 BAD = rows(r"""
@@ -139,7 +139,7 @@ a file in the sweep's place | sweep escort --set duration=5 --out taken | taken
 policy that raises | suite --uav-policy json:loads --only paper | --uav-policy json:loads: TypeError
 policy that gives no action | suite --uav-policy math:fsum --only paper | --uav-policy math:fsum:
 """)
-"""Causes that are no fault of the input."""
+"""Causes other than invalid input."""
 TWO_PAIRS = """
 uav = [{position = [7, 8]}, {position = [7, 28], escorts = "ugv_1"}]
 ugv = [{position = [7, 7]}, {position = [7, 27]}]
@@ -147,7 +147,7 @@ ugv = [{position = [7, 7]}, {position = [7, 27]}]
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told", "code"),
+    ("arguments", "phrase", "code"),
     [
         pytest.param(*row, code, id=case)
         for code, of in ((2, BAD), (1, BROKEN))
@@ -156,14 +156,14 @@ ugv = [{position = [7, 7]}, {position = [7, 27]}]
 )
 @pytest.mark.usefixtures("impatient")
 def test_impossible_command_gives_one_line_exit_code_and_no_file(
-    arguments, told, code, here, command
+    arguments, phrase, code, here, command
 ):
     needs(arguments)
     (here / "taken").write_text("a file", encoding="utf-8")
     (here / "pairs.toml").write_text(TWO_PAIRS, encoding="utf-8")
     run = command(*words(arguments))
     assert run.returncode == code, run.stderr
-    assert told in run.stderr
+    assert phrase in run.stderr
     assert len(run.stderr.strip().splitlines()) == 1
     assert run.stdout == ""
     assert sorted(path.name for path in here.iterdir()) == ["pairs.toml", "taken"]
@@ -220,12 +220,12 @@ def test_a_run_leaves_its_files_and_prints_one_json_object(tmp_path, command):
     assert sorted(path.name for path in (tmp_path / "mine").iterdir()) == files
 
 
-def test_json_of_the_lists(command):
-    def told(arguments: str) -> dict[str, object]:
+def test_lists_are_printed_as_json(command):
+    def json_of(arguments: str) -> dict[str, object]:
         return json.loads(command(*words(arguments), "--json").stdout)
 
-    assert told("scenarios")["scenarios"][0]["name"] == "escort"
-    checked = told("check escort")
+    assert json_of("scenarios")["scenarios"][0]["name"] == "escort"
+    checked = json_of("check escort")
     valid = {"scenario": "escort", "valid": True, "certifiable": "always", "warnings": []}
     assert checked == valid
 
@@ -236,7 +236,7 @@ def test_too_fast_circle_warns_and_flies(command) -> None:
     assert "0.1086 rad/s" in " ".join(run.stderr.split())
 
 
-def test_a_weighting_of_ones_own_flies_over_the_bus(here: Path, command) -> None:
+def test_user_weighting_flies_over_the_bus(here: Path, command) -> None:
     (here / "mine.py").write_text(
         "def careful(distance, r_s):\n    share = min(distance / r_s, 1.0)\n    return share, 1.0 - share\n",
         encoding="utf-8",

@@ -1,6 +1,6 @@
 """The closed loop in many worlds.
 
-Whoever flies and drives in it gives the commands of the pilots in a single flight.
+Its laws and drivers give the same commands as the pilots in a single run.
 """
 
 import math
@@ -29,17 +29,17 @@ from worlds import POOR, SCENARIOS, raw, small
 
 
 def _same(one: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether two flights have the same bits."""
+    """Return whether two runs have the same bits."""
     return one.tobytes() == np.ascontiguousarray(other).tobytes()
 
 
 def _near(one: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether two flights are one but for the rounding of the two filters, amplified for some seconds."""
+    """Return whether two runs agree up to the rounding of the two filters, amplified for some seconds."""
     return np.allclose(one, other, rtol=1e-6, atol=1e-6, equal_nan=True)
 
 
 def _flown(scenario: Scenario, seeds: list[int], **options: Any) -> ClosedLoop:
-    """Worlds of these seeds that have flown to their ends."""
+    """Return worlds of these seeds, flown to the end."""
     loop = ClosedLoop(scenario, len(seeds), **options)
     loop.begin(seeds)
     loop.fly()
@@ -54,7 +54,7 @@ def _flown_with(loop: ClosedLoop, seeds: list[int]) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_world_k_flies_as_the_single_flight_of_its_seed(name: str) -> None:
-    """Without estimator, whose rounding differs, a whole flight has the same bits."""
+    """Without estimator, whose rounding differs, a whole run has the same bits."""
     _compare(raw(SCENARIOS[name]), _same)
 
 
@@ -104,7 +104,7 @@ def _compare(scenario: Scenario, alike: Callable[[np.ndarray, np.ndarray], bool]
 
 
 def test_certified_tick_out_of_sight_counts_in_every_world() -> None:
-    """Sight ends at half a metre there, and the filter was told another r_v."""
+    """End sight at half a metre, with another r_v in the safety filter."""
     scenario, seeds = SCENARIOS["evade"], [5, 11]
     loop = ClosedLoop(scenario, len(seeds), error=True, end_on_sight_lost=False)
     loop.tables.batch.world["r_v"] = 0.5
@@ -114,7 +114,7 @@ def test_certified_tick_out_of_sight_counts_in_every_world() -> None:
     for _ in range(scenario.ticks):
         far = standings["distance"] >= 0.5
         loop.fly(1)
-        # said of the tick at which it was so far
+        # claims refer to the tick of this distance
         counted += far & (decisions["reason"] == CERTIFIED)
     counted += (standings["distance"] >= 0.5) & (decisions["reason"] == CERTIFIED)
     assert loop.metrics("uav_0")["certified_while_lost"].tolist() == counted.tolist()
@@ -122,10 +122,10 @@ def test_certified_tick_out_of_sight_counts_in_every_world() -> None:
 
 
 def test_ended_certificate_counts_unless_an_assumption_failed() -> None:
-    """Blackouts longer than declared end it; where the age is held to be allowed, that is a broken certificate."""
-    dark = msgspec.structs.replace(PROFILES["perfect"], blackouts=((4.0, 2.0), (8.0, 3.0)))
+    """End a certificate by undeclared blackouts, which is a fault only if the counters allow that age."""
+    blackouts = msgspec.structs.replace(PROFILES["perfect"], blackouts=((4.0, 2.0), (8.0, 3.0)))
     late = msgspec.structs.replace(PROFILES["perfect"], delay=0.2)
-    links = LinkTable(detections=dark, commands=late)
+    links = LinkTable(detections=blackouts, commands=late)
     scenario = small(
         "certified",
         links=links,
@@ -136,7 +136,7 @@ def test_ended_certificate_counts_unless_an_assumption_failed() -> None:
     assert _flown_with(loop, [5])["certificate_broken"] == 0.0
     loop.tables.monitored["max_age_ticks"] += 100
     assert _flown_with(loop, [5])["certificate_broken"] == 2.0
-    assert _flown_with(loop, [6])["certificate_broken"] == 2.0  # an episode begins at 0
+    assert _flown_with(loop, [6])["certificate_broken"] == 2.0  # an episode starts at tick 0
 
 
 @pytest.mark.parametrize(
@@ -154,9 +154,11 @@ def test_ended_certificate_counts_unless_an_assumption_failed() -> None:
     ids=["noise without a cut", "wind beyond what is declared"],
 )
 def test_a_broken_certificate_is_excused_by_actual_errors_alone(declared, given):
-    """Two blackouts end the certificate of each flight, at ages that the counts hold to be allowed."""
-    dark = msgspec.structs.replace(PROFILES["perfect"], blackouts=((4.0, 2.0), (8.0, 3.0)))
-    scenario = small("certified", links=LinkTable(detections=dark), certificate=declared, **given)
+    """End the certificate twice by blackouts, at ages that the counters allow."""
+    blackouts = msgspec.structs.replace(PROFILES["perfect"], blackouts=((4.0, 2.0), (8.0, 3.0)))
+    scenario = small(
+        "certified", links=LinkTable(detections=blackouts), certificate=declared, **given
+    )
     seeds = [5, 6, 7, 8, 9, 10]
     loop = ClosedLoop(scenario, len(seeds), error=True)
     loop.tables.monitored["max_age_ticks"] += 100
@@ -174,7 +176,7 @@ def test_a_broken_certificate_is_excused_by_actual_errors_alone(declared, given)
         )
         first = next(iter(times[wrong].tolist()), scenario.duration)
         assert broken[k] == (first > 5.0) + (first > 9.0), first
-    assert {0.0, 2.0} <= set(broken)  # some flights of either kind
+    assert {0.0, 2.0} <= set(broken)  # runs of both kinds
 
 
 def test_the_first_seconds_of_escort_are_those_of_the_run() -> None:
@@ -196,8 +198,8 @@ def test_evading_ugv_hears_an_external_uav(name: str) -> None:
         loop.step(np.broadcast_to(action, (2, 1, 2)).copy())
     for k, seed in enumerate([4, 3]):
         flight = Flight(scenario, seed)
-        told = lambda seen: {"acceleration": tuple(actions[seen.tick].tolist())}  # noqa: E731
-        flight.fly(altered(make_pilots(scenario, seed), "uav_0", told))
+        change = lambda seen: {"acceleration": tuple(actions[seen.tick].tolist())}  # noqa: E731
+        flight.fly(altered(make_pilots(scenario, seed), "uav_0", change))
         assert _near(flight.world.position, loop.state.batch.vehicles["position"][k])
     wanders = msgspec.structs.replace(scenario.ugv[0], driver="wander")
     still = _flown(msgspec.structs.replace(scenario, ugv=(wanders,)), [4])
@@ -225,7 +227,7 @@ ANY = "(uav_0, ugv_0|ugv_0, uav_0)"
         ({"pilots": {"uav_0": "nonsense"}}, ScenarioError, "unknown; allowed"),
     ],
 )
-def test_who_cannot_fly_in_here_is_refused(settings, error, message):
+def test_unsupported_pilot_is_refused(settings, error, message):
     with pytest.raises(error, match=message):
         ClosedLoop(small("tracking"), 1, **settings)
 

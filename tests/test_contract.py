@@ -32,12 +32,12 @@ TO_UAV = [key.message for key in KEYS if Role.UAV in key.readers]
 TO_UGV = [key.message for key in KEYS if Role.UGV in key.readers]
 
 
-def told(messages_to: list[type]) -> set[str]:
+def fields_of(messages_to: list[type]) -> set[str]:
     return set().union(*map(fields_within, messages_to))
 
 
-def test_the_uav_is_told_these_fields_and_no_others() -> None:
-    """The certificate is of its own detections, commands, actuators and inner loop."""
+def test_uav_receives_exactly_these_fields() -> None:
+    """The certificate relies on its own detections, commands, actuators and inner loop."""
     known = """
         tick time position velocity detections relative_position over episode committed_trajectory
         limits target_limits max_speed max_acceleration
@@ -48,26 +48,26 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
         ground tile map_update_rate tile_reports column row state
         origin latitude longitude altitude
         vehicle dt visibility_radius law key past more"""
-    assert told(TO_UAV) == {*words(known), *fields_within(Law)}
+    assert fields_of(TO_UAV) == {*words(known), *fields_within(Law)}
 
 
-def test_the_ugv_is_told_these_fields_and_no_others() -> None:
+def test_ugv_receives_exactly_these_fields() -> None:
     known = """
         tick time position velocity radio relative_position coverage_error over episode
         operator driver goal goals goal_tolerance script command_timeout key past more
         ground tile sensing_range caution delay rough_speed_share executes_trajectories
         tile_reports column row state map_updates tiles committed_trajectory
         vehicle dt area width height cell limits max_speed max_acceleration"""
-    assert told(TO_UGV) == {*words(known)}
+    assert fields_of(TO_UGV) == {*words(known)}
 
 
 def test_briefed_past_is_the_vehicles_own_observations() -> None:
-    for told, seen in (
+    for briefing_type, seen in (
         (UavBriefing, UavObservation),
         (UgvBriefing, UgvObservation),
     ):
-        assert get_args(get_type_hints(told)["past"]) == (seen, ...)
-        assert get_type_hints(told)["more"] is bool
+        assert get_args(get_type_hints(briefing_type)["past"]) == (seen, ...)
+        assert get_type_hints(briefing_type)["more"] is bool
 
 
 @pytest.mark.parametrize("kind", TO_UAV)
@@ -88,7 +88,7 @@ def test_ugv_messages_hide_velocity_input_and_law_of_the_uav(kind):
     assert nested == {"time", "relative_position", "coverage_error"}
 
 
-def test_what_a_uav_can_radio_has_no_velocity_and_no_input() -> None:
+def test_uav_radio_has_no_velocity_and_no_input() -> None:
     radio = get_type_hints(UavCommand)["radio"]
     assert fields_within(radio) == {"time", "relative_position", "coverage_error"}
     assert "radio" not in UgvCommand.__struct_fields__
@@ -122,7 +122,7 @@ def test_planned_route_reaches_the_simulator_and_no_vehicle() -> None:
         msgspec.json.decode(smuggled, type=UavObservation)
 
 
-def test_the_pilots_key_does_not_tell_the_runs_seed() -> None:
+def test_pilot_key_does_not_reveal_the_seed_of_the_run() -> None:
     from sim.engine.briefing import briefing
     from sim.scenario.loading import load_scenario
 
@@ -152,7 +152,7 @@ ON_BOARD = {
     "sim.compiling.lanes",
     "sim.compiling.records",
 }
-"""All that a vehicle carries of the simulator."""
+"""All modules of the simulator on board of a vehicle."""
 
 
 def test_import_contract_covers_all_simulator_modules() -> None:
@@ -177,21 +177,21 @@ def test_import_contract_covers_all_simulator_modules() -> None:
 
 
 @pytest.fixture
-def _linter() -> None:
-    """The contracts are of sources, not of what is installed: a development tool checks them."""
+def _needs_linter() -> None:
+    """The contracts check the sources; they need a development tool."""
     pytest.importorskip("importlinter", reason="a development tool")
 
 
 LINT = [Path(sys.executable).with_name("lint-imports"), "--no-cache"]
 
 
-@pytest.mark.usefixtures("_linter")
+@pytest.mark.usefixtures("_needs_linter")
 def test_the_import_contracts_hold() -> None:
     run = ran(LINT, cwd=ROOT)
     assert run.returncode == 0, run.stdout + run.stderr
 
 
-@pytest.mark.usefixtures("_linter")
+@pytest.mark.usefixtures("_needs_linter")
 def test_import_contracts_catch_an_agent_reading_the_world(tmp_path: Path) -> None:
     import shutil
 
@@ -212,9 +212,9 @@ def test_import_contracts_catch_an_agent_reading_the_world(tmp_path: Path) -> No
 
 ROOMS = {"sim.models", "sim.compiling"}
 REFUSES_FUNCTIONS = {"sim.input", "sim.input.faults"}
-"""The user's own code is refused in one line."""
+"""Modules that refuse invalid user code in one line."""
 OF_MESSAGES = {"sim.scene", "sim.scene.colors", "sim.scene.model"}
-"""By which messages of ROS 2 are made: a scene's types, and nothing of a world."""
+"""Modules that convert messages to ROS 2: types of a scene, but no world."""
 
 
 @pytest.mark.parametrize(

@@ -25,11 +25,11 @@ from flights import (
     HERE,
     U_A,
     V_A,
+    briefing_of,
     errors,
     escort,
     flown_law,
     target_at,
-    told,
     tracks,
     uav_sees,
 )
@@ -128,7 +128,7 @@ def _standing(k_v: float, sensor: str, **limits: float) -> Scenario:
 @pytest.mark.parametrize("sensor", SENSORS)
 @pytest.mark.parametrize("k_v", [1.0, 10.0])
 def test_coverage_around_a_standing_ugv_completes(k_v, sensor, limits):
-    """Proposition 1; and then, (10), the UAV brakes."""
+    """Check Proposition 1, and that the UAV brakes afterwards, (10)."""
     flight, summary = fly(_standing(k_v, sensor, **limits), 0)
     assert summary.initial_error > 90.0
     assert summary.final_error == 0.0
@@ -158,8 +158,8 @@ PLACES = {"cell centre": (20.125, 20.125), "cell corner": (20.0, 20.0)}
 
 
 def _first_command(law: str, place: tuple[float, float], seed: int) -> tuple[float, float]:
-    """The UAV's command when it first sees the UGV, exactly below."""
-    pilot = UavPilot(told(escort(law), seed))
+    """Return the UAV's command when it first detects the UGV, exactly below."""
+    pilot = UavPilot(briefing_of(escort(law), seed))
     return pilot.act(uav_sees(0, (0.0, (0.0, 0.0)), position=place)).acceleration
 
 

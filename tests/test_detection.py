@@ -1,4 +1,4 @@
-"""The detections: when the UGV is found, and how the noise spreads."""
+"""Detections: their probability and their noise."""
 
 import math
 
@@ -12,17 +12,17 @@ from seeded import a_key
 from sim.models.detection import detect, detection_chance
 
 R_V, R = 4.75, 5.0
-LOOKS = 4000
+ATTEMPTS = 4000
 
 
-def _looks(distance, dropout, sigma=0.0, cut=3.0, seed=1):
+def _attempts(distance, dropout, sigma=0.0, cut=3.0, seed=1):
     place, keys = (0.6 * distance, -0.8 * distance), (a_key(seed, 1), a_key(seed, 2))
-    return [detect(*place, R_V, R, dropout, sigma, cut, *keys, tick) for tick in range(LOOKS)]
+    return [detect(*place, R_V, R, dropout, sigma, cut, *keys, tick) for tick in range(ATTEMPTS)]
 
 
 def _spread(share: float) -> float:
-    """Four standard deviations of a share among the looks."""
-    return 4.0 * math.sqrt(max(share * (1.0 - share), 1e-12) / LOOKS)
+    """Return four standard deviations of a share among the attempts."""
+    return 4.0 * math.sqrt(max(share * (1.0 - share), 1e-12) / ATTEMPTS)
 
 
 @pytest.mark.parametrize(
@@ -35,8 +35,8 @@ def _spread(share: float) -> float:
     ],
 )
 def test_detection_chance_falls_from_one_at_r_v_to_zero_at_r(distance, dropout):
-    """Between them the share of finds falls linearly."""
-    share = sum(found for found, _, _ in _looks(distance, dropout)) / LOOKS
+    """Between r_v and R the detection rate falls linearly."""
+    share = sum(found for found, _, _ in _attempts(distance, dropout)) / ATTEMPTS
     wanted = (1.0 - dropout) * min(max((R - distance) / (R - R_V), 0.0), 1.0)
     assert share == pytest.approx(wanted, abs=_spread(wanted))
 
@@ -49,43 +49,43 @@ def test_detection_probability_never_grows_with_distance(distance, dropout):
     assert 0.0 <= far <= near <= 1.0
 
 
-def test_a_look_that_finds_nothing_says_nothing() -> None:
+def test_failed_detection_has_no_position() -> None:
     found, x, y = detect(6.0, 0.0, R_V, R, 0.0, 0.1, 3.0, a_key(1), a_key(2), 0)
     assert not found
     assert math.isnan(x)
     assert math.isnan(y)
 
 
-def test_a_look_without_noise_is_the_truth() -> None:
-    assert all((x, y) == (0.6 * 3.0, -0.8 * 3.0) for _, x, y in _looks(3.0, dropout=0.0))
+def test_detection_without_noise_is_exact() -> None:
+    assert all((x, y) == (0.6 * 3.0, -0.8 * 3.0) for _, x, y in _attempts(3.0, dropout=0.0))
 
 
 @pytest.mark.parametrize("cut", [1.0, 3.0, math.inf])
 def test_detection_noise_is_unbiased_and_truncated(cut: float) -> None:
     sigma = 0.2
     noise = np.array(
-        [(x - 1.8, y + 2.4) for _, x, y in _looks(3.0, dropout=0.0, sigma=sigma, cut=cut)]
+        [(x - 1.8, y + 2.4) for _, x, y in _attempts(3.0, dropout=0.0, sigma=sigma, cut=cut)]
     )
     h = 0.5 * cut * cut
     variance = sigma**2 * (1.0 - (h / math.expm1(h) if h < 700.0 else 0.0))
     assert np.hypot(*noise.T).max() <= cut * sigma + 1e-14
-    assert noise.mean(axis=0) == pytest.approx([0.0, 0.0], abs=4.0 * sigma / math.sqrt(LOOKS))
+    assert noise.mean(axis=0) == pytest.approx([0.0, 0.0], abs=4.0 * sigma / math.sqrt(ATTEMPTS))
     assert noise.var(axis=0) == pytest.approx(
-        [variance, variance], rel=4.0 * math.sqrt(2.0 / LOOKS)
+        [variance, variance], rel=4.0 * math.sqrt(2.0 / ATTEMPTS)
     )
 
 
 def test_noise_and_dropouts_are_drawn_apart() -> None:
-    kept = [look for look in _looks(3.0, dropout=0.5, sigma=0.2) if look[0]]
-    whole = _looks(3.0, dropout=0.0, sigma=0.2)
+    kept = [attempt for attempt in _attempts(3.0, dropout=0.5, sigma=0.2) if attempt[0]]
+    whole = _attempts(3.0, dropout=0.0, sigma=0.2)
     assert 0 < len(kept) < len(whole)
     assert set(kept) < set(whole)
 
 
 def test_detection_noise_depends_on_its_own_key_alone() -> None:
-    looks = {
+    detections = {
         detect(1.0, 1.0, R_V, R, 0.0, 0.2, 3.0, a_key(n), a_key(m), 7)
         for n in range(5)
         for m in range(4)
     }
-    assert len(looks) == 5
+    assert len(detections) == 5

@@ -1,6 +1,6 @@
 """`outrider drive` in a real pseudo-terminal.
 
-What keys become on the bus, what the screen says, and how it is left.
+Messages for keys, contents of the screen, and restoration of the terminal.
 """
 
 import asyncio
@@ -48,7 +48,7 @@ CHILD = (
 
 
 class Screen:
-    """A terminal as far as these tests need one: text at its place, the cursor, the alternate screen."""
+    """A minimal terminal: characters by position, the cursor, the alternate screen."""
 
     def __init__(self, columns: int, rows: int) -> None:
         self.resize(columns, rows)
@@ -66,9 +66,9 @@ class Screen:
         for found in re.finditer(
             r"\x1b(?:\[([?<>=]?)([\d;:]*)([$ ]?[@-~])|[^\[])|\r|\n|[^\x00-\x1f]", text
         ):
-            self._take(found[0], found[1], found[2], found[3])
+            self._apply(found[0], found[1], found[2], found[3])
 
-    def _take(self, piece: str, mark: str, numbers: str, kind: str) -> None:
+    def _apply(self, piece: str, mark: str, numbers: str, kind: str) -> None:
         if kind == "H" and not mark:
             row, _, column = numbers.partition(";")
             self._y, self._x = int(row or 1) - 1, int(column or 1) - 1
@@ -94,7 +94,7 @@ class Terminal:
     def __init__(self, *arguments: str) -> None:
         self.master, self.slave = pty.openpty()
         self.screen = Screen(80, 24)
-        self.told = ""
+        self.output = ""
         self._decode = codecs.getincrementaldecoder("utf-8")().decode
         self._set_size(80, 24)
         self.before = termios.tcgetattr(self.slave)
@@ -117,30 +117,30 @@ class Terminal:
     def read(self, patience: float = 0.02) -> None:
         while select.select([self.master], [], [], patience)[0]:
             text = self._decode(os.read(self.master, 65536))
-            self.told += text
+            self.output += text
             self.screen.feed(text)
             patience = 0.0
 
     def waiting(self) -> int:
-        """Number of bytes that the terminal holds and nobody has read."""
+        """Return the number of unread bytes in the terminal."""
         return int(struct.unpack("i", fcntl.ioctl(self.master, termios.FIONREAD, bytes(4)))[0])
 
     def press(self, keys: str) -> None:
         os.write(self.master, keys.encode())
 
-    def until(self, condition: Callable[[], object], seconds: float = 15.0) -> None:
+    def wait_until_true(self, condition: Callable[[], object], seconds: float = 15.0) -> None:
         limit = time.monotonic() + seconds
         while not condition():
             self.read()
             assert time.monotonic() < limit, (
-                f"waited in vain before this screen:\n{self.screen.text}\n{self.told[-500:]!r}"
+                f"waited in vain before this screen:\n{self.screen.text}\n{self.output[-500:]!r}"
             )
 
-    def until_shown(self, *texts: str) -> None:
-        self.until(lambda: all(text in self.screen.text for text in texts))
+    def await_text(self, *texts: str) -> None:
+        self.wait_until_true(lambda: all(text in self.screen.text for text in texts))
 
     def hold(self, key: str, condition: Callable[[], object], seconds: float = 15.0) -> None:
-        """Hold a key, as a terminal repeats it, until something is so."""
+        """Press a key repeatedly, as a terminal does, until a condition is true."""
         limit = time.monotonic() + seconds
         while not condition():
             self.press(key)
@@ -148,11 +148,11 @@ class Terminal:
             assert time.monotonic() < limit, f"held in vain before this screen:\n{self.screen.text}"
 
     def ends(self) -> int:
-        self.until(lambda: self.process.poll() is not None)
+        self.wait_until_true(lambda: self.process.poll() is not None)
         self.read()
         return int(self.process.returncode)
 
-    def left_as_it_was(self) -> bool:
+    def is_restored(self) -> bool:
         modes = self.screen.modes
         return (
             termios.tcgetattr(self.slave) == self.before
@@ -203,7 +203,7 @@ def truth_at(tick: int = 100, distance: float = 1.25) -> Truth:
 
 
 class Scripted:
-    """A simulator that flies nothing: it tells a status, does what controls ask for, and keeps all it receives."""
+    """A simulator that flies nothing: it sends a status, follows controls, and records all messages."""
 
     def __init__(self, session: Session) -> None:
         self.controls: list[Control] = []
@@ -231,12 +231,12 @@ class Scripted:
                 assert isinstance(envelope.message, Teleoperation)
                 self.drives.append(envelope.message)
             self.tick += 1
-            told = {"drivers": dict(self.drivers)}
-            told["operators"] = {name: who for name, who in self.operators.items() if who}
-            self._statuses.send(status_at(self.tick, **told))
+            fields = {"drivers": dict(self.drivers)}
+            fields["operators"] = {name: who for name, who in self.operators.items() if who}
+            self._statuses.send(status_at(self.tick, **fields))
             self._truths.send(truth_at(self.tick))
 
-    def asked(self, driver: str) -> int:
+    def count_requests(self, driver: str) -> int:
         return sum(
             msgspec.structs.replace(one, operator=None)
             == Control(action=Action.DRIVER, vehicle="ugv_0", driver=driver)
@@ -261,7 +261,7 @@ def scripted(endpoint: str) -> Iterator[Scripted]:
 
 @pytest.fixture(scope="module")
 def endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A router's."""
+    """Open a router and return its endpoint."""
     where = f"unixsock-stream/{tmp_path_factory.mktemp('r') / 's'}"
     with open_session(Party(role=Role.OBSERVER, name="observer"), "mine", listen=(where,)):
         yield where
@@ -273,7 +273,7 @@ def arguments(endpoint: str, *more: str) -> tuple[str, ...]:
 
 def test_keys_drive_the_ugv_and_restore_the_terminal(endpoint):
     with scripted(endpoint) as simulator, teleoperation(*arguments(endpoint)) as one:
-        one.until_shown(
+        one.await_text(
             "script drives ugv_0",
             "distance uav_0",
             "1.25 m",
@@ -284,31 +284,31 @@ def test_keys_drive_the_ugv_and_restore_the_terminal(endpoint):
             "■",
             "real time (target x 1)",
         )
-        assert not simulator.controls  # to look on changes nothing
+        assert not simulator.controls  # watching changes nothing
         assert termios.tcgetattr(one.slave) != one.before
         one.hold("d", lambda: len(simulator.drives) > 5)
-        assert simulator.asked("teleop") == 1
+        assert simulator.count_requests("teleop") == 1
         assert all(
-            word == Teleoperation(operator="operator", velocity=(0.2, 0.0))
-            for word in simulator.drives
+            drive == Teleoperation(operator="operator", velocity=(0.2, 0.0))
+            for drive in simulator.drives
         )
-        one.until_shown("YOU DRIVE ugv_0")
-        one.until(lambda: simulator.drives[-1].velocity is None)  # nobody holds the key any more
+        one.await_text("YOU DRIVE ugv_0")
+        one.wait_until_true(lambda: simulator.drives[-1].velocity is None)  # the key was released
         one.hold("\x1b[A", lambda: simulator.drives[-1].velocity == (0.0, 0.2))
         received = len(simulator.drives)
         one.press(" ")
-        one.until(lambda: simulator.drives[-1] == Teleoperation(operator="operator"))
-        assert len(simulator.drives) <= received + 2  # at once, not when the key has run out
+        one.wait_until_true(lambda: simulator.drives[-1] == Teleoperation(operator="operator"))
+        assert len(simulator.drives) <= received + 2  # at once, not after the timeout of the key
         one.press("h")
-        one.until_shown("script drives ugv_0")
+        one.await_text("script drives ugv_0")
         one.hold("S", lambda: simulator.drives[-1].velocity == (0.0, -0.2))
-        assert simulator.asked("teleop") == 2
+        assert simulator.count_requests("teleop") == 2
         one.press("q")
         assert one.ends() == 0
-        assert simulator.asked("script") == 2
+        assert simulator.count_requests("script") == 2
         assert simulator.drivers == {"ugv_0": "script"}
-        assert one.left_as_it_was()
-        assert "ugv_0: control returned to script" in one.told
+        assert one.is_restored()
+        assert "ugv_0: control returned to script" in one.output
 
 
 def test_of_two_terminals_only_the_one_that_drives_says_so(endpoint: str) -> None:
@@ -318,84 +318,88 @@ def test_of_two_terminals_only_the_one_that_drives_says_so(endpoint: str) -> Non
         teleoperation(*arguments(endpoint)) as second,
     ):
         for one in (first, second):
-            one.until_shown("script drives ugv_0")
+            one.await_text("script drives ugv_0")
         first.hold("d", lambda: simulator.drives)
-        first.until_shown("YOU DRIVE ugv_0")
-        second.until_shown("another operator drives ugv_0")
+        first.await_text("YOU DRIVE ugv_0")
+        second.await_text("another operator drives ugv_0")
         second.press("h")
         second.hold("w", lambda: simulator.drives[-1].velocity == (0.0, 0.2))
-        assert simulator.asked("script") == 0  # `h` is no business of one that does not drive
-        second.until_shown("YOU DRIVE ugv_0")
-        first.until_shown("another operator drives ugv_0")
+        assert (
+            simulator.count_requests("script") == 0
+        )  # `h` has no effect for an operator without control
+        second.await_text("YOU DRIVE ugv_0")
+        first.await_text("another operator drives ugv_0")
         for key in "hq":
             first.press(key)
         assert first.ends() == 0
-        assert "another operator drives" in first.told
-        assert simulator.asked("script") == 0
+        assert "another operator drives" in first.output
+        assert simulator.count_requests("script") == 0
         second.press("h")
-        second.until_shown("script drives ugv_0")
+        second.await_text("script drives ugv_0")
 
 
 def test_drive_continues_with_the_next_simulator(endpoint: str) -> None:
     with teleoperation(*arguments(endpoint, "--speed", "0.1", "--back", "waypoints")) as one:
-        one.until(lambda: "waiting for the simulator of the run mine" in one.told)
+        one.wait_until_true(lambda: "waiting for the simulator of the run mine" in one.output)
         with scripted(endpoint) as simulator:
-            one.until_shown("script drives ugv_0")
+            one.await_text("script drives ugv_0")
             one.hold("a", lambda: simulator.drives)
             assert simulator.drives[0].velocity == (-0.1, 0.0)
-            one.until_shown("YOU DRIVE")
-        one.until_shown("SIMULATOR DISCONNECTED")
+            one.await_text("YOU DRIVE")
+        one.await_text("SIMULATOR DISCONNECTED")
         with scripted(endpoint) as simulator:
-            one.until_shown("drives ugv_0")
-            one.until(lambda: "GONE" not in one.screen.text)
+            one.await_text("drives ugv_0")
+            one.wait_until_true(lambda: "GONE" not in one.screen.text)
             one.hold("w", lambda: simulator.drivers["ugv_0"] == "teleop" and simulator.drives)
             assert simulator.drives[-1].velocity == (0.0, 0.1)
             one.resize(46, 20)
-            one.until_shown("YOU DRIVE", "distance uav_0", "1.25 m", "e(t)")
+            one.await_text("YOU DRIVE", "distance uav_0", "1.25 m", "e(t)")
             assert "■" not in one.screen.text  # no room for a map
             one.resize(120, 40)
-            one.until_shown("■", "return control")
+            one.await_text("■", "return control")
             one.press("q")
             assert one.ends() == 0
             assert simulator.controls[-1].driver == "waypoints"
 
 
 @pytest.mark.parametrize(
-    ("way", "code"),
+    ("ending", "code"),
     [("ctrl-c", 130), ("hang-up", 129), ("at once", 0), ("stuck", 143)],
 )
-def test_however_it_ends_the_wheel_is_given_back(way: str, code: int, endpoint: str) -> None:
+def test_control_is_handed_back_however_the_command_ends(
+    ending: str, code: int, endpoint: str
+) -> None:
     with scripted(endpoint) as simulator, teleoperation(*arguments(endpoint)) as one:
-        one.until_shown("script drives ugv_0")
-        if way == "at once":
+        one.await_text("script drives ugv_0")
+        if ending == "at once":
             one.press("dq")
             assert one.ends() == code
             tick = simulator.tick
-            # whatever was on its way has been received
+            # all pending messages were received
             wait_until(lambda: simulator.tick > tick + 5)
             assert simulator.drivers == {"ugv_0": "script"}
             return
         one.hold("d", lambda: simulator.drivers["ugv_0"] == "teleop")
-        if way == "stuck":  # nobody reads what the screen writes, as over a frozen SSH connection
+        if ending == "stuck":  # no process reads the output, as over a frozen SSH connection
             wait_until(lambda: one.waiting() > 3000)
             wait_until(lambda: simulator.drives[-1].velocity is None)
-        if way == "ctrl-c":
+        if ending == "ctrl-c":
             one.press("\x03")
-        elif way == "hang-up":
+        elif ending == "hang-up":
             one.hang_up()
         else:
             one.process.send_signal(signal.SIGTERM)
-        if way in ("hang-up", "stuck"):
+        if ending in ("hang-up", "stuck"):
             assert one.process.wait(15.0) == code
         else:
             assert one.ends() == code
-            assert one.left_as_it_was()
-        if way == "stuck":
+            assert one.is_restored()
+        if ending == "stuck":
             assert termios.tcgetattr(one.slave) == one.before
         wait_until(lambda: simulator.drivers["ugv_0"] == "script")
 
 
-def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> None:
+def test_control_taken_before_the_first_status_is_handed_back(endpoint: str) -> None:
     simulator = Party(role=Role.SIMULATOR, name="simulator")
     operator = Party(role=Role.OPERATOR, name="operator")
     with (
@@ -406,15 +410,15 @@ def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> 
         mute.announce()
         link = DriveLink(session, "ugv_0", speed=0.2, status=status_at())
         link.start()
-        asked = []
+        requests = []
         for driver in ("teleop", "script"):
             wait_until(lambda: link.press(Heading.EAST) or controls.holds_any(), 10.0)  # type: ignore[func-returns-value]
             envelope = controls.next_waiting()
             assert envelope is not None
-            asked.append((driver, msgspec.structs.replace(envelope.message, operator=None)))
+            requests.append((driver, msgspec.structs.replace(envelope.message, operator=None)))
             link.leave()
         assert link.wait(10.0)
-        assert asked == [
+        assert requests == [
             (driver, Control(action=Action.DRIVER, vehicle="ugv_0", driver=driver))
             for driver in ("teleop", "script")
         ]
@@ -424,12 +428,12 @@ def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> 
 def test_an_unknown_vehicle_is_refused_with_those_that_there_are(endpoint: str) -> None:
     with scripted(endpoint), teleoperation(*arguments(endpoint, "--name", "ugv_7")) as one:
         assert one.ends() == 2
-        assert "--name ugv_7: no UGV of this run; allowed: ugv_0" in one.told
+        assert "--name ugv_7: no UGV of this run; allowed: ugv_0" in one.output
         assert "1049" not in one.screen.modes
 
 
 def test_without_a_terminal_there_is_one_clear_line(command) -> None:
-    run = command("drive")  # pytest gives it no terminal
+    run = command("drive")  # pytest provides no terminal
     assert run.returncode == 2
     assert (
         run.stderr
@@ -456,46 +460,46 @@ def test_operator_drives_in_real_time_without_jumps(tmp_path: Path) -> None:
                         seen.append(envelope.message.vehicles["ugv_0"])
                 return bool(seen) and seen[-1].velocity[0] < -0.15
 
-            one.until_shown("waypoints drives ugv_0", "4.75 m")
+            one.await_text("waypoints drives ugv_0", "4.75 m")
             one.hold("\x1b[D", heads_west)
-            one.until_shown("YOU DRIVE")
+            one.await_text("YOU DRIVE")
             assert max(math.hypot(*state.acceleration) for state in seen) <= 0.1 + 1e-9
             one.press("q")
             assert one.ends() == 0
-            assert one.left_as_it_was()
-            assert "ugv_0: control returned to waypoints" in one.told
+            assert one.is_restored()
+            assert "ugv_0: control returned to waypoints" in one.output
             after = await_status(session, lambda status: status.drivers == {"ugv_0": "waypoints"})
-            sat = [change.control.driver for change in after.changes]
-            assert list(dict.fromkeys(sat)) == ["teleop", "waypoints"]
+            drivers = [change.control.driver for change in after.changes]
+            assert list(dict.fromkeys(drivers)) == ["teleop", "waypoints"]
         simulator.kill()
 
 
-def test_a_key_counts_for_a_moment_and_its_repeats_prolong_it() -> None:
-    wheel = PressedKeys(0.2)
-    assert wheel.velocity(0.0) is None
-    wheel.press(Heading.EAST, 10.0)
-    assert wheel.velocity(10.0 + 0.99 * FIRST) == (0.2, 0.0)
-    assert wheel.velocity(10.0 + FIRST) is None
-    wheel.press(Heading.EAST, 20.0)
-    wheel.press(Heading.EAST, 20.0 + 0.9 * FIRST)
-    assert wheel.velocity(20.0 + 0.9 * FIRST + 0.99 * REPEAT) == (0.2, 0.0)
-    assert wheel.velocity(20.0 + 0.9 * FIRST + REPEAT) is None
-    wheel.press(Heading.WEST, 30.0)
-    wheel.release()
-    assert wheel.velocity(30.0) is None
+def test_key_expires_unless_it_is_repeated() -> None:
+    keys = PressedKeys(0.2)
+    assert keys.velocity(0.0) is None
+    keys.press(Heading.EAST, 10.0)
+    assert keys.velocity(10.0 + 0.99 * FIRST) == (0.2, 0.0)
+    assert keys.velocity(10.0 + FIRST) is None
+    keys.press(Heading.EAST, 20.0)
+    keys.press(Heading.EAST, 20.0 + 0.9 * FIRST)
+    assert keys.velocity(20.0 + 0.9 * FIRST + 0.99 * REPEAT) == (0.2, 0.0)
+    assert keys.velocity(20.0 + 0.9 * FIRST + REPEAT) is None
+    keys.press(Heading.WEST, 30.0)
+    keys.release()
+    assert keys.velocity(30.0) is None
 
 
 def test_two_keys_drive_diagonally_and_successive_keys_turn() -> None:
-    wheel = PressedKeys(0.2)
-    wheel.press(Heading.NORTH, 0.0)
-    wheel.press(Heading.EAST, 0.1)
-    assert wheel.velocity(0.1) == pytest.approx((0.2 / math.sqrt(2.0), 0.2 / math.sqrt(2.0)))
-    wheel.press(Heading.EAST, 0.6)  # only the last key of a chord is repeated
-    assert wheel.velocity(0.9) == pytest.approx((0.2 / math.sqrt(2.0), 0.2 / math.sqrt(2.0)))
-    wheel.press(Heading.SOUTH, 0.95)
-    assert wheel.velocity(0.95) == (0.0, -0.2)
-    wheel.press(Heading.NORTH, 1.0)  # opposite keys never add up to nothing
-    assert wheel.velocity(1.0) == (0.0, 0.2)
+    keys = PressedKeys(0.2)
+    keys.press(Heading.NORTH, 0.0)
+    keys.press(Heading.EAST, 0.1)
+    assert keys.velocity(0.1) == pytest.approx((0.2 / math.sqrt(2.0), 0.2 / math.sqrt(2.0)))
+    keys.press(Heading.EAST, 0.6)  # only the last key of a chord is repeated
+    assert keys.velocity(0.9) == pytest.approx((0.2 / math.sqrt(2.0), 0.2 / math.sqrt(2.0)))
+    keys.press(Heading.SOUTH, 0.95)
+    assert keys.velocity(0.95) == (0.0, -0.2)
+    keys.press(Heading.NORTH, 1.0)  # opposite keys never cancel out
+    assert keys.velocity(1.0) == (0.0, 0.2)
 
 
 def characters(canvas: Canvas) -> list[str]:
@@ -528,7 +532,7 @@ def test_map_shows_vehicles_and_visibility_radius() -> None:
 
 
 class Watching:
-    """A link that only looks on."""
+    """A link that only observes."""
 
     vehicle, over, leaving = "ugv_0", False, False
 

@@ -1,4 +1,4 @@
-"""Drivers of the UGV: each within its bounds whatever it receives, and each one's own promises."""
+"""Drivers of the UGV: each keeps its bounds for any input, and its own properties."""
 
 import math
 from collections.abc import Callable
@@ -33,10 +33,10 @@ from bus.messages.vehicle import (
     UgvObservation,
 )
 from bus.ticks import tick_of
-from flights import DT, R_V, U_G, V_A, V_G, distances, told_ugv
+from flights import DT, R_V, U_G, V_A, V_G, distances, ugv_briefing
 from outrider.running.flying import InProcess, make_pilots
 from properties import PROPERTY
-from seeded import a_told_key
+from seeded import key_text
 from sim.compiling.records import records
 from sim.engine.briefing import briefing
 from sim.models.ground import CLEAR
@@ -45,8 +45,8 @@ from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
 Point = tuple[float, float]
-Receives = Callable[[int, Point], dict[str, Any]]
-"""The messages to a UGV at a tick at a place: fields of its observation."""
+Messages = Callable[[int, Point], dict[str, Any]]
+"""The messages to a UGV at a tick and position: fields of its observation."""
 
 MIDDLE = (10.0, 10.0)
 waypoints, wander, script, evade = (
@@ -55,7 +55,7 @@ waypoints, wander, script, evade = (
 
 
 def _goal(driver: CompiledDriver) -> Point | None:
-    """The random goal of a wanderer."""
+    """Return the random goal of a wanderer."""
     memory = driver.memory
     return tuple(memory["goal"].tolist()) if memory["has_goal"] else None
 
@@ -63,30 +63,30 @@ def _goal(driver: CompiledDriver) -> Point | None:
 SCRIPT = (ScriptStep(time=1.0, velocity=(1e6, -1e6)), ScriptStep(time=7.0, velocity=(-0.1, 0.05)))
 
 
-def _told(
+def _briefing(
     *, v_max: float = V_G, u_max: float = U_G, side: float = 20.0, key: int = 7, **fields: Any
 ) -> UgvBriefing:
     speed, acceleration = (None if math.isinf(bound) else bound for bound in (v_max, u_max))
-    return told_ugv(
+    return ugv_briefing(
         area=Area(width=side, height=side, cell=0.5),
         limits=Limits(max_speed=speed, max_acceleration=acceleration),
-        key=a_told_key(key),
+        key=key_text(key),
         **{"script": SCRIPT} | fields,
     )
 
 
-def _wild(observation: UgvObservation, told: UgvBriefing) -> list[float]:
-    """A policy that asks for anything."""
+def _wild(observation: UgvObservation, _context: UgvBriefing) -> list[float]:
+    """Return arbitrarily large accelerations."""
     size = 10.0 ** (observation.tick % 300)
     return [size * math.cos(observation.tick), -size * math.sin(7 * observation.tick)]
 
 
-def _policy(told: UgvBriefing) -> PolicyDriver:
-    return PolicyDriver(told, policy=_wild, name="tests:_wild")
+def _policy(briefed: UgvBriefing) -> PolicyDriver:
+    return PolicyDriver(briefed, policy=_wild, name="tests:_wild")
 
 
-def _on_clear_ground(told: UgvBriefing) -> NavigateDriver:
-    driver = NavigateDriver(told)
+def _on_clear_ground(briefed: UgvBriefing) -> NavigateDriver:
+    driver = NavigateDriver(briefed)
     driver.ground.tiles[:] = CLEAR
     return driver
 
@@ -102,7 +102,7 @@ DRIVERS: dict[str, Callable[[UgvBriefing], Driver]] = {
 }
 
 
-def _nothing(tick: int, place: Point) -> dict[str, Any]:
+def _nothing(_tick: int, _place: Point) -> dict[str, Any]:
     return {}
 
 
@@ -112,7 +112,7 @@ def _observe(tick, state, received, dt=DT):
 
 
 def _drive(driver, count, *, start=MIDDLE, velocity=(0.0, 0.0), begin=0, dt=DT, receives=_nothing):
-    """Position, velocity and command at each tick, with no bound but the driver's own, and what it was shown."""
+    """Return position, velocity and command at each tick, limited only by the driver, and its observations."""
     state, rows, seen = (*start, *velocity), [], []
     for tick in range(begin, begin + count):
         seen.append(_observe(tick, state, receives(tick, state[:2]), dt))
@@ -166,9 +166,9 @@ def _velocity(heading: tuple[float, float], v_max: float) -> Point:
 def test_drivers_keep_the_bounds_whatever_they_observe(
     name, received, start, heading, begin, v_max, u_max, dt
 ) -> None:
-    driver = DRIVERS[name](_told(v_max=v_max, u_max=u_max, dt=dt))
-    told = {"start": start, "velocity": _velocity(heading, v_max), "begin": begin, "dt": dt}
-    rows, _ = _drive(driver, 60, **told, receives=lambda tick, _: received.get(tick - begin, {}))
+    driver = DRIVERS[name](_briefing(v_max=v_max, u_max=u_max, dt=dt))
+    initial = {"start": start, "velocity": _velocity(heading, v_max), "begin": begin, "dt": dt}
+    rows, _ = _drive(driver, 60, **initial, receives=lambda tick, _: received.get(tick - begin, {}))
     _assert_within(rows, v_max, u_max)
 
 
@@ -176,7 +176,7 @@ def test_drivers_keep_the_bounds_whatever_they_observe(
 @given(receptions, st.sampled_from((V_G, math.inf)))
 @settings(PROPERTY, max_examples=30)
 def test_unbounded_ugv_gets_commands_a_message_can_hold(name, received, v_max):
-    driver = DRIVERS[name](_told(v_max=v_max, u_max=math.inf))
+    driver = DRIVERS[name](_briefing(v_max=v_max, u_max=math.inf))
     for tick in range(60):
         seen = _observe(tick, (*MIDDLE, 0.1, -0.1), received.get(tick, {}))
         command = UgvCommand(tick=tick, acceleration=driver.drive(seen))
@@ -188,9 +188,9 @@ def test_unbounded_ugv_gets_commands_a_message_can_hold(name, received, v_max):
 def test_driver_changes_in_flight_keep_the_bounds(names, received):
     at, velocity = MIDDLE, (0.0, 0.0)
     for turn, name in enumerate(names):
-        told = {"start": at, "velocity": velocity, "begin": 60 * turn}
+        initial = {"start": at, "velocity": velocity, "begin": 60 * turn}
         receives = lambda tick, _: received.get(tick % 60, {})  # noqa: E731
-        rows, _ = _drive(DRIVERS[name](_told()), 60, **told, receives=receives)
+        rows, _ = _drive(DRIVERS[name](_briefing()), 60, **initial, receives=receives)
         _assert_within(rows, V_G, U_G)
         assert np.hypot(*np.diff(rows[:, 2:4], axis=0).T).max() <= U_G * DT * (1.0 + 1e-9)
         at, velocity = tuple(rows[-1, :2]), tuple(rows[-1, 2:4])
@@ -200,8 +200,8 @@ def test_driver_changes_in_flight_keep_the_bounds(names, received):
 @given(receptions, st.integers(0, 1000))
 @settings(PROPERTY, max_examples=20)
 def test_driver_briefed_with_its_past_gives_the_same_bits(name, received, begin):
-    told = _told(v_max=1.0, u_max=0.5)
-    first, other, again = (DRIVERS[name](told) for _ in range(3))
+    briefed = _briefing(v_max=1.0, u_max=0.5)
+    first, other, again = (DRIVERS[name](briefed) for _ in range(3))
     rows, seen = _drive(
         first, 150, begin=begin, receives=lambda tick, _: received.get((tick - begin) % 60, {})
     )
@@ -211,14 +211,14 @@ def test_driver_briefed_with_its_past_gives_the_same_bits(name, received, begin)
         assert again.drive(observation) == (row[4], row[5])
 
 
-# what they are told
+# parameters
 
 
 @pytest.mark.parametrize(
     ("v_max", "u_max"), [(0.2, 0.02), (V_G, U_G), (math.inf, math.inf)], ids=str
 )
 def test_the_wanderers_goals_keep_its_margin(v_max: float, u_max: float) -> None:
-    driver = wander(_told(v_max=v_max, u_max=u_max))
+    driver = wander(_briefing(v_max=v_max, u_max=u_max))
     speed, margin = driver.parameters.speed, driver.parameters.margin
     assert margin == pytest.approx(speed**2 / min(u_max, 1e6) + 2.0 * speed * DT, rel=1e-12)
     assert _goal(driver) is None
@@ -230,16 +230,18 @@ def test_the_wanderers_goals_keep_its_margin(v_max: float, u_max: float) -> None
 @pytest.mark.parametrize("name", ["teleop", "policy", "external", "nobody", ""])
 def test_a_driver_without_a_compiled_form_is_refused_in_one_line(name: str) -> None:
     allowed = "waypoints, wander, script, evade, navigate"
-    told = rf"^driver = '{name}': has no compiled form; allowed: {allowed}$"
-    with pytest.raises(ScenarioError, match=told):
-        driver_parameters(_told(), name)
+    phrase = rf"^driver = '{name}': has no compiled form; allowed: {allowed}$"
+    with pytest.raises(ScenarioError, match=phrase):
+        driver_parameters(_briefing(), name)
 
 
 def test_an_area_of_too_many_tiles_is_refused_in_one_line() -> None:
     ground = UgvGround(tile=0.5, sensing_range=0.75, caution="cautious", rough_speed_share=0.4)
-    told = r"^ground.tile = 0.5: divides the area into 3.6e\+07 tiles; allowed: at most 1,000,000$"
-    with pytest.raises(ScenarioError, match=told):
-        NavigateDriver(told_ugv(area=Area(width=1e6, height=9.0, cell=0.5), ground=ground))
+    phrase = (
+        r"^ground.tile = 0.5: divides the area into 3.6e\+07 tiles; allowed: at most 1,000,000$"
+    )
+    with pytest.raises(ScenarioError, match=phrase):
+        NavigateDriver(ugv_briefing(area=Area(width=1e6, height=9.0, cell=0.5), ground=ground))
 
 
 # teleop
@@ -247,13 +249,13 @@ def test_an_area_of_too_many_tiles_is_refused_in_one_line() -> None:
 FULL = Teleoperation(operator="somebody", velocity=(V_G, 0.0))
 
 
-def _says(**words: Teleoperation) -> Receives:
-    """The words of an operator at some ticks: `t3=...`."""
-    return lambda tick, _: {"operator": (words[f"t{tick}"],)} if f"t{tick}" in words else {}
+def _sends(**messages: Teleoperation) -> Messages:
+    """Return the messages of an operator at some ticks: `t3=...`."""
+    return lambda tick, _: {"operator": (messages[f"t{tick}"],)} if f"t{tick}" in messages else {}
 
 
-def _received_once(words: tuple[Teleoperation, ...]) -> Receives:
-    return lambda tick, _: {"operator": words} if tick == 0 else {}
+def _received_once(messages: tuple[Teleoperation, ...]) -> Messages:
+    return lambda tick, _: {"operator": messages} if tick == 0 else {}
 
 
 def _ticks_to_rest(v_max: float, u_max: float, dt: float) -> int:
@@ -265,10 +267,12 @@ holds = st.sampled_from((0.0, 0.4, 1.0))
 
 @given(st.lists(drives, min_size=1, max_size=3), headings, speeds, accelerations, steps, holds)
 @settings(PROPERTY)
-def test_ugv_stops_when_the_operator_falls_silent(words, heading, v_max, u_max, dt, hold) -> None:
-    driver = TeleopDriver(_told(v_max=v_max, u_max=u_max, dt=dt, command_timeout=hold))
+def test_ugv_stops_when_the_operator_falls_silent(
+    messages, heading, v_max, u_max, dt, hold
+) -> None:
+    driver = TeleopDriver(_briefing(v_max=v_max, u_max=u_max, dt=dt, command_timeout=hold))
     still = 1 + round(hold / dt) + _ticks_to_rest(v_max, u_max, dt)
-    receives = _received_once(tuple(words))
+    receives = _received_once(tuple(messages))
     rows, _ = _drive(
         driver, still + 50, velocity=_velocity(heading, v_max), dt=dt, receives=receives
     )
@@ -276,10 +280,10 @@ def test_ugv_stops_when_the_operator_falls_silent(words, heading, v_max, u_max, 
     assert np.ptp(rows[still:, :2], axis=0).max() <= 1e-9
 
 
-def test_an_operators_word_counts_for_hold_seconds_to_the_tick() -> None:
-    for since in range(60):  # tick * dt rounds differently at each
-        driver = TeleopDriver(_told(command_timeout=0.5))
-        receives = _says(**{f"t{since}": FULL})
+def test_teleoperation_expires_at_the_exact_tick() -> None:
+    for since in range(60):  # tick * dt rounds differently at each tick
+        driver = TeleopDriver(_briefing(command_timeout=0.5))
+        receives = _sends(**{f"t{since}": FULL})
         rows, _ = _drive(driver, 20, velocity=(0.1, 0.0), begin=since, receives=receives)
         assert (rows[:11, 4] > 0.0).all()
         assert rows[11, 4] == pytest.approx(-U_G, rel=1e-9)
@@ -287,8 +291,8 @@ def test_an_operators_word_counts_for_hold_seconds_to_the_tick() -> None:
 
 @given(drives, drives)
 @settings(PROPERTY)
-def test_the_operators_newest_word_counts(old: Teleoperation, new: Teleoperation) -> None:
-    both, one = TeleopDriver(_told()), TeleopDriver(_told())
+def test_newest_teleoperation_counts(old: Teleoperation, new: Teleoperation) -> None:
+    both, one = TeleopDriver(_briefing()), TeleopDriver(_briefing())
     for tick in range(3):
         state = (*MIDDLE, 0.05, 0.1)
         first = both.drive(_observe(tick, state, {"operator": (old, new)} if tick == 0 else {}))
@@ -298,8 +302,10 @@ def test_the_operators_newest_word_counts(old: Teleoperation, new: Teleoperation
 @given(anything)
 @settings(PROPERTY)
 def test_excessive_velocity_is_clipped_in_its_direction(wanted: Point) -> None:
-    word = Teleoperation(operator="somebody", velocity=wanted)
-    rows, _ = _drive(TeleopDriver(_told()), 100, receives=lambda tick, _: {"operator": (word,)})
+    message = Teleoperation(operator="somebody", velocity=wanted)
+    rows, _ = _drive(
+        TeleopDriver(_briefing()), 100, receives=lambda tick, _: {"operator": (message,)}
+    )
     scale = min(1.0, V_G / max(math.hypot(*wanted), 1e-300))
     assert rows[-1, 2:4] == pytest.approx((wanted[0] * scale, wanted[1] * scale), abs=1e-12)
 
@@ -307,20 +313,22 @@ def test_excessive_velocity_is_clipped_in_its_direction(wanted: Point) -> None:
 @given(places)
 @settings(PROPERTY, max_examples=20)
 def test_a_living_operators_goal_is_reached_and_stood_on(goal: Point) -> None:
-    word = Teleoperation(operator="somebody", goal=goal)
-    receives = lambda tick, _: {"operator": (word,)} if tick % 8 == 0 else {}  # noqa: E731
-    rows, _ = _drive(TeleopDriver(_told(v_max=1.0, u_max=0.5)), 600, receives=receives)
+    message = Teleoperation(operator="somebody", goal=goal)
+    receives = lambda tick, _: {"operator": (message,)} if tick % 8 == 0 else {}  # noqa: E731
+    rows, _ = _drive(TeleopDriver(_briefing(v_max=1.0, u_max=0.5)), 600, receives=receives)
     assert rows[-1, :2] == pytest.approx(goal, abs=1e-3)
 
 
-def test_nobody_at_the_wheel_and_an_empty_word_both_brake() -> None:
-    nobody, _ = _drive(TeleopDriver(_told()), 80, velocity=(V_G, 0.0))
+def test_missing_operator_and_empty_teleoperation_both_brake() -> None:
+    silent, _ = _drive(TeleopDriver(_briefing()), 80, velocity=(V_G, 0.0))
     nothing = Teleoperation(operator="somebody")
-    empty, _ = _drive(TeleopDriver(_told()), 80, velocity=(V_G, 0.0), receives=_says(t0=nothing))
-    stopped, _ = _drive(TeleopDriver(_told()), 80, receives=_says(t0=FULL, t5=nothing))
-    for rows in (nobody, empty, stopped):
+    empty, _ = _drive(
+        TeleopDriver(_briefing()), 80, velocity=(V_G, 0.0), receives=_sends(t0=nothing)
+    )
+    stopped, _ = _drive(TeleopDriver(_briefing()), 80, receives=_sends(t0=FULL, t5=nothing))
+    for rows in (silent, empty, stopped):
         assert np.abs(rows[-30:, 2:4]).max() <= 1e-15
-    assert nobody[-1, 0] - MIDDLE[0] == pytest.approx(V_G**2 / (2.0 * U_G), abs=V_G * DT)
+    assert silent[-1, 0] - MIDDLE[0] == pytest.approx(V_G**2 / (2.0 * U_G), abs=V_G * DT)
 
 
 # script
@@ -328,7 +336,7 @@ def test_nobody_at_the_wheel_and_an_empty_word_both_brake() -> None:
 
 def _script(*steps: tuple[float, Point], **fields: Any) -> CompiledDriver:
     return script(
-        _told(script=tuple(ScriptStep(time=time, velocity=v) for time, v in steps), **fields)
+        _briefing(script=tuple(ScriptStep(time=time, velocity=v) for time, v in steps), **fields)
     )
 
 
@@ -345,7 +353,7 @@ def test_script_brakes_before_its_first_step_and_holds_its_last() -> None:
 @pytest.mark.parametrize("dt", [0.02, DT, 0.03])
 def test_a_step_begins_at_the_first_tick_of_its_time(dt: float) -> None:
     for tick in range(1, 400):
-        # as it is computed, and as a person writes it: which may be a bit later
+        # as computed, and as written by a person, which may be a bit later
         for time in (tick * dt, round(tick * dt, 9)):
             driver = _script((time, (V_G, 0.0)), dt=dt)
             seen = (_observe(k, (*MIDDLE, 0.0, 0.0), {}, dt) for k in (tick - 1, tick))
@@ -356,7 +364,7 @@ def test_a_step_begins_at_the_first_tick_of_its_time(dt: float) -> None:
 
 @given(st.lists(st.tuples(st.floats(0.0, 10.0), anything), max_size=5), st.integers(0, 300))
 @settings(PROPERTY)
-def test_a_script_taken_up_late_is_where_it_would_have_been(steps, tick):
+def test_script_started_late_is_at_its_scheduled_step(steps, tick):
     late, whole = _script(*steps), _script(*steps)
     for k in range(tick):
         whole.drive(_observe(k, (*MIDDLE, 0.0, 0.0), {}))
@@ -370,7 +378,7 @@ def test_a_script_taken_up_late_is_where_it_would_have_been(steps, tick):
 @given(st.integers(0, 2**53 - 1), speeds, accelerations, steps, st.sampled_from((2.0, 20.0)))
 @settings(PROPERTY, max_examples=40)
 def test_a_wanderer_never_comes_to_the_border(key, v_max, u_max, dt, side):
-    driver = wander(_told(key=key, v_max=v_max, u_max=u_max, dt=dt, side=side))
+    driver = wander(_briefing(key=key, v_max=v_max, u_max=u_max, dt=dt, side=side))
     rows, _ = _drive(driver, 1500, start=(side / 2, side / 2), dt=dt)
     assert rows[:, :2].min() > 0.0
     assert rows[:, :2].max() < side
@@ -379,27 +387,27 @@ def test_a_wanderer_never_comes_to_the_border(key, v_max, u_max, dt, side):
 @given(st.integers(0, 2**53 - 1))
 @settings(PROPERTY, max_examples=10)
 def test_a_wanderer_reaches_one_goal_after_the_other(key: int) -> None:
-    driver = wander(_told(key=key, v_max=1.0, u_max=0.5))
+    driver = wander(_briefing(key=key, v_max=1.0, u_max=0.5))
     goals: list[Point | None] = []
 
-    def notes(tick: int, place: Point) -> dict[str, Any]:
+    def record_goal(_tick: int, _place: Point) -> dict[str, Any]:
         goals.append(_goal(driver))
         return {}
 
-    rows, _ = _drive(driver, 6000, receives=notes)
+    rows, _ = _drive(driver, 6000, receives=record_goal)
     assert np.hypot(rows[:, 2], rows[:, 3]).max() == pytest.approx(1.0, rel=1e-9)
-    changes = [tick for tick, (a, b) in enumerate(pairwise(goals)) if a != b]
+    changes = [_tick for _tick, (a, b) in enumerate(pairwise(goals)) if a != b]
     assert len(changes) > 10
-    for tick in changes[1:]:
-        goal = goals[tick]
-        assert math.dist(rows[tick, :2], goal) < 0.05
+    for _tick in changes[1:]:
+        goal = goals[_tick]
+        assert math.dist(rows[_tick, :2], goal) < 0.05
         assert min(*goal, 20.0 - goal[0], 20.0 - goal[1]) >= driver.parameters.margin
 
 
 def test_wander_keys_give_other_paths_over_the_whole_area() -> None:
     goals = []
     for key in range(400):
-        driver = wander(_told(key=key))
+        driver = wander(_briefing(key=key))
         driver.drive(_observe(0, (*MIDDLE, 0.0, 0.0), {}))
         goals.append(_goal(driver))
     places = np.array(goals)
@@ -412,8 +420,8 @@ def test_wander_keys_give_other_paths_over_the_whole_area() -> None:
 # evade
 
 
-def _shadowed(place: Callable[[float], Point]) -> Receives:
-    """Radio messages of a UAV that flies a known way, five a second and a tick late."""
+def _shadowed(place: Callable[[float], Point]) -> Messages:
+    """Return radio messages of a UAV on a known trajectory, five per second and a tick late."""
 
     def receives(tick: int, at: Point) -> dict[str, Any]:
         if tick % 4 != 1:
@@ -427,11 +435,11 @@ def _shadowed(place: Callable[[float], Point]) -> Receives:
 
 
 class _Straight:
-    """The evader without the seeded turns, which would hide what is looked at, and without the wanderer."""
+    """The evader without its random turns, which would hide the reaction, and without the wanderer."""
 
-    def __init__(self, told: UgvBriefing) -> None:
-        ugv = ugv_parameters(told, unbounded=False)
-        self._driver = evade(told)
+    def __init__(self, briefed: UgvBriefing) -> None:
+        ugv = ugv_parameters(briefed, unbounded=False)
+        self._driver = evade(briefed)
         self._p = (
             records(UgvParameters, [ugv])[0],
             records(type(self._driver.parameters), [self._driver.parameters])[0],
@@ -441,21 +449,27 @@ class _Straight:
     def drive(self, observation: UgvObservation) -> Point:
         p, tick = self._p, observation.tick
         here = Motion(*observation.position, *observation.velocity)
-        said = [(tick_of(one.time, DT), *one.relative_position) for one in observation.radio]
-        radio = np.array(said, dtype=np.float64)
+        rows_of_radio = [
+            (tick_of(one.time, DT), *one.relative_position) for one in observation.radio
+        ]
+        radio = np.array(rows_of_radio, dtype=np.float64)
         receive_radio(*p, radio.reshape(-1, 3), len(radio), tick, here)
         x, y = away(*p, tick, here)
         return flee(*p, x, y, tick, here)
 
 
 def test_it_leaves_behind_a_uav_that_flies_off() -> None:
-    rows, _ = _drive(_Straight(_told()), 100, receives=_shadowed(lambda t: (9.0 - 0.6 * t, 10.0)))
+    rows, _ = _drive(
+        _Straight(_briefing()), 100, receives=_shadowed(lambda t: (9.0 - 0.6 * t, 10.0))
+    )
     assert rows[-1, 2:4] == pytest.approx((V_G, 0.0), abs=1e-3)
 
 
 def test_evader_reverses_only_while_the_uav_approaches_fast() -> None:
-    rows, _ = _drive(_Straight(_told()), 160, receives=_shadowed(lambda t: (7.0 + 0.6 * t, 10.0)))
-    assert rows[15, 2] > 0.02  # it has received nothing of the UAV's speed yet
+    rows, _ = _drive(
+        _Straight(_briefing()), 160, receives=_shadowed(lambda t: (7.0 + 0.6 * t, 10.0))
+    )
+    assert rows[15, 2] > 0.02  # no information about the UAV's speed yet
     assert rows[130:, 2].max() < -0.95 * V_G
 
 
@@ -468,15 +482,15 @@ def test_message_time_between_ticks_is_ignored() -> None:
         )
         return {"radio": (wrong, *near(tick, at).get("radio", ()), wrong)}
 
-    plain, _ = _drive(evade(_told()), 200, receives=near)
-    told, _ = _drive(evade(_told()), 200, receives=with_more)
-    assert told.tobytes() == plain.tobytes()
+    plain, _ = _drive(evade(_briefing()), 200, receives=near)
+    disturbed, _ = _drive(evade(_briefing()), 200, receives=with_more)
+    assert disturbed.tobytes() == plain.tobytes()
 
 
 def test_it_turns_off_sharply_now_and_then_when_its_key_says() -> None:
     turns, receives = [], _shadowed(lambda t: (499.0, 500.0))
     for key in (1, 2, 3):
-        driver = evade(_told(key=key, side=1000.0))
+        driver = evade(_briefing(key=key, side=1000.0))
         rows, _ = _drive(driver, 2000, start=(500.0, 500.0), receives=receives)
         size = np.hypot(*rows[:-1, 4:6].T)
         turns.append(np.flatnonzero((size[:-1] < 0.02) & (size[1:] > 0.09)).tolist())
@@ -485,7 +499,7 @@ def test_it_turns_off_sharply_now_and_then_when_its_key_says() -> None:
 
 
 sides, stops = st.sampled_from((4.0, 20.0)), st.sampled_from((0.05, U_G, 1.0, 10.0))
-SLIDING = ((8.5, 16.0), (0.0, 0.0), 1.0, 0.05, 7, 20.0)  # while it still drives at the wall
+SLIDING = ((8.5, 16.0), (0.0, 0.0), 1.0, 0.05, 7, 20.0)  # it still drives at the wall
 
 
 @given(places, headings, speeds, stops, st.integers(0, 2**53 - 1), sides)
@@ -494,9 +508,9 @@ SLIDING = ((8.5, 16.0), (0.0, 0.0), 1.0, 0.05, 7, 20.0)  # while it still drives
 def test_it_neither_runs_into_the_border_nor_gets_stuck_there(
     uav: Point, circling: tuple[float, float], v_max: float, u_max: float, key: int, side: float
 ) -> None:
-    driver = evade(_told(v_max=v_max, u_max=u_max, key=key, side=side))
+    driver = evade(_briefing(v_max=v_max, u_max=u_max, key=key, side=side))
     share, phase = circling
-    speed = wander(_told(v_max=v_max, u_max=u_max, side=side)).parameters.speed
+    speed = wander(_briefing(v_max=v_max, u_max=u_max, side=side)).parameters.speed
     x, y = uav[0] * side / 20.0, uav[1] * side / 20.0
     receives = _shadowed(
         lambda t: (x + share * math.cos(phase + 0.5 * t), y + share * math.sin(phase + 0.5 * t))
@@ -510,7 +524,7 @@ def test_it_neither_runs_into_the_border_nor_gets_stuck_there(
 
 
 def test_a_corner_is_left_again() -> None:
-    rows, _ = _drive(evade(_told()), 20000, receives=_shadowed(lambda t: (14.0, 14.5)))
+    rows, _ = _drive(evade(_briefing()), 20000, receives=_shadowed(lambda t: (14.0, 14.5)))
     corner = np.hypot(rows[:, 0], rows[:, 1])
     arrived = int(np.argmax(corner < 2.0))
     assert 0 < arrived < 5000
@@ -520,19 +534,19 @@ def test_a_corner_is_left_again() -> None:
 
 def test_evader_wanders_while_the_uav_is_silent() -> None:
     receives = _shadowed(lambda t: (9.0, 10.0))
-    evader, wanderer = evade(_told()), wander(_told())
+    evader, wanderer = evade(_briefing()), wander(_briefing())
     for tick in range(300):
         state = (*MIDDLE, 0.05, 0.0)
         received = receives(tick, MIDDLE) if 100 <= tick < 150 else {}
         alone = wanderer.drive(_observe(tick, state, {}))
         same = evader.drive(_observe(tick, state, received)) == alone
-        assert same == (tick < 101 or tick > 149 + 100)  # five seconds to the tick
+        assert same == (tick < 101 or tick > 149 + 100)  # exactly five seconds
 
 
 def _flown(law: str, driver: Callable[[UgvBriefing], Driver], seed: int, **changes: Any) -> Flight:
     scenario = load_scenario("escort", overrides={"law.name": law} | changes)
-    pilots, told = make_pilots(scenario, seed), briefing(scenario, "ugv_0", seed)
-    pilots["ugv_0"] = UgvPilot(told, driver=driver(told))
+    pilots, briefed = make_pilots(scenario, seed), briefing(scenario, "ugv_0", seed)
+    pilots["ugv_0"] = UgvPilot(briefed, driver=driver(briefed))
     flight = Flight(scenario, seed)
     flight.fly(InProcess(pilots))
     return flight
@@ -550,5 +564,5 @@ def test_evader_gets_further_away_than_the_papers_driver(law: str) -> None:
 def test_evader_exceeds_r_v_by_one_tick_at_most(law: str, seed: int) -> None:
     clear = {"detections.noise": 0.0, "detections.dropout": 0.0}
     furthest = distances(_flown(law, evade, seed, **clear)).max()
-    # (18) knows no ticks, but r_s is passed between two of them
+    # (18) is continuous in time, but r_s is crossed between two ticks
     assert furthest < R_V + (V_A + V_G) * DT

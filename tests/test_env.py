@@ -1,4 +1,4 @@
-"""The environment as PettingZoo and a learner meet it: API, spaces, actions, errors, determinism."""
+"""The environment with PettingZoo and a learner: API, spaces, actions, errors, determinism."""
 
 import copy
 import math
@@ -23,7 +23,7 @@ from sim.world import World
 from worlds import FREE, ONE, POOR, equal
 
 with warnings.catch_warnings():
-    # PettingZoo 1.27 makes an old environment of its own
+    # PettingZoo 1.27 creates an old environment of its own
     warnings.simplefilter("ignore", DeprecationWarning)
     from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, state_test
 
@@ -80,7 +80,7 @@ def test_passes_pettingzoos_seed_test():
 
 def test_passes_pettingzoos_tests_as_a_turn_based_environment():
     with warnings.catch_warnings():
-        # A UAV and a UGV see different things.
+        # Observations of UAV and UGV differ.
         warnings.filterwarnings(
             "ignore",
             "Agents have different observation space sizes|Observations are different shapes",
@@ -107,7 +107,7 @@ def test_turn_based_environment_flies_the_same_bits():
 
 @pytest.mark.parametrize("seed", [3, 4])
 def test_the_environment_is_the_world_under_the_same_commands(seed):
-    """Over links that delay, lose and repeat: the same bits of all that moves, and of what each link did."""
+    """Over links that delay, lose and duplicate: the same bits of all states and link counters."""
     scenario = msgspec.structs.replace(MANY, links=POOR, duration=20.0)
     env, world = parallel_env(scenario, end_on_sight_lost=False), World(scenario, seed)
     rng = np.random.default_rng(seed)
@@ -131,7 +131,7 @@ def test_the_environment_is_the_world_under_the_same_commands(seed):
 
 @pytest.mark.parametrize("scenario", [ONE, MANY], ids=["one", "many"])
 def test_what_is_asked_for_besides_changes_no_bit_of_the_rest(scenario):
-    """Estimates, gradients and pictures are computed in a second way through the closed loop."""
+    """Estimates, gradients and pictures are computed on a second path through the closed loop."""
     plain = parallel_env(scenario, end_on_sight_lost=False, duration=20.0)
     full = parallel_env(
         scenario, end_on_sight_lost=False, duration=20.0, gradient=True, coverage_patch=(3, 1.0)
@@ -191,12 +191,12 @@ def test_everything_returned_lies_in_its_space(scenario, options, push):
 def test_spaces_are_as_tight_as_the_scenario_says():
     env = parallel_env(ONE)
     low, high = env.observation_space("uav_0").low, env.observation_space("uav_0").high
-    reach = ONE.sensor.range + 3.0 * 0.1
+    sensor_range = ONE.sensor.range + 3.0 * 0.1
     np.testing.assert_allclose(
-        high, [60.0, 40.0, 40.0, 0.6, 0.6, 1.0, reach, reach, 60.0], rtol=1e-12
+        high, [60.0, 40.0, 40.0, 0.6, 0.6, 1.0, sensor_range, sensor_range, 60.0], rtol=1e-12
     )
     np.testing.assert_allclose(
-        low, [0.0, 0.0, 0.0, -0.6, -0.6, 0.0, -reach, -reach, 0.0], rtol=1e-12
+        low, [0.0, 0.0, 0.0, -0.6, -0.6, 0.0, -sensor_range, -sensor_range, 0.0], rtol=1e-12
     )
     high = env.observation_space("ugv_0").high
     np.testing.assert_allclose(high, [60.0, 40.0, 40.0, 0.2, 0.2, 1.0, 40.0, 40.0], rtol=1e-12)
@@ -205,7 +205,7 @@ def test_spaces_are_as_tight_as_the_scenario_says():
 
 
 def test_space_bounds_allow_for_rounding():
-    """A vector shortened to its bound may be longer by a last place or two."""
+    """A vector shortened to its bound may exceed it by a last place or two."""
     rng = np.random.default_rng(0)
     longer = 0
     for limit, x, y in rng.uniform(0.0, 1.0, (20_000, 3)):
@@ -263,7 +263,7 @@ def test_an_unknown_scenario_or_agent_is_refused():
 
 @pytest.mark.parametrize(("scenario", "options"), OPTIONS)
 def test_same_seed_same_bits_for_more_than_a_thousand_ticks(scenario, options):
-    """PettingZoo's own test looks at one step only."""
+    """PettingZoo's own test checks one step only."""
     options = options | {"duration": 60.0, "end_on_sight_lost": False}
     first, second = (parallel_env(scenario, **options) for _ in range(2))
     assert equal(first.reset(seed=7), second.reset(seed=7))
@@ -281,7 +281,7 @@ def test_same_seed_same_bits_for_more_than_a_thousand_ticks(scenario, options):
 
 
 def test_an_episode_leaves_nothing_behind_for_the_next():
-    """Detections that come late, goals that are reached, sight that is lost."""
+    """Cover late detections, reached goals, and lost sight."""
     rare = msgspec.structs.replace(
         ONE,
         detections=Detections(dropout=0.95),

@@ -1,4 +1,4 @@
-"""The paper's pilots drive the environment, and the filter fits into its rows."""
+"""The paper's pilots in the environment, and the filter's estimate in its rows."""
 
 import copy
 import math
@@ -50,7 +50,7 @@ def test_pilots_fly_the_same_bits_in_the_environment_as_in_a_run(scenario):
     np.testing.assert_array_equal(states, flight.recorder.states[:-1])
 
 
-def test_pilots_begin_anew_with_each_episode():
+def test_pilots_restart_with_each_episode():
     env = parallel_env(NOISY, duration=20.0)
     policies = pilots(env)
     first, other, again = (
@@ -71,7 +71,7 @@ def test_pilots_also_fly_float32_rows_and_rows_with_a_picture():
         assert env.metrics()["uav_0"]["visibility_violations"] == 0
 
 
-def test_pilots_take_a_weighting_of_ones_own():
+def test_pilots_accept_a_user_weighting():
     own = msgspec.structs.replace(
         NOISY, law=Law(name="weighted"), custom=Custom(weighting="mine:weighting")
     )
@@ -94,7 +94,7 @@ def test_the_example_runs_as_it_stands(capsys):
     assert "'visibility_violations': 0" in printed
 
 
-# -- the estimate in the place of the detection
+# -- the estimate instead of the detection
 
 
 def rows_of(env, ticks, seed=1):
@@ -108,17 +108,20 @@ def rows_of(env, ticks, seed=1):
 
 def test_rows_hold_the_filters_estimate_and_leave_the_rest():
     raw, wrapped = parallel_env(NOISY), parallel_env(NOISY, estimate=True)
-    told = raw.briefing("uav_0")
+    briefed = raw.briefing("uav_0")
     own = RelativeEstimator(
-        detector=told.detector, target=told.target_limits, dt=told.dt, settings=told.estimator
+        detector=briefed.detector,
+        target=briefed.target_limits,
+        dt=briefed.dt,
+        settings=briefed.estimator,
     )
     silent = 0
     for plain, estimated in zip(rows_of(raw, 300), rows_of(wrapped, 300), strict=True):
-        seen = uav_observation(plain["uav_0"], dt=told.dt)
+        seen = uav_observation(plain["uav_0"], dt=briefed.dt)
         estimate = own.update(
             tick=seen.tick,
             own_position=seen.position,
-            detections=looks_of(seen.detections, told.dt),
+            detections=looks_of(seen.detections, briefed.dt),
         )
         before, after = (rows["uav_0"].tolist() for rows in (plain, estimated))
         silent += not before[5]
@@ -150,17 +153,17 @@ def test_estimates_are_nearer_to_the_truth_than_detections():
 
 @pytest.mark.parametrize("options", [{}, {"dtype": np.float32}, {"coverage_patch": (8, 1.0)}])
 def test_estimates_stay_in_their_spaces_and_repeat_by_seed(options):
-    env, twin = (parallel_env(NOISY, estimate=True, **options) for _ in range(2))
-    list(rows_of(twin, 30, seed=9))  # another episode leaves nothing behind
+    env, second = (parallel_env(NOISY, estimate=True, **options) for _ in range(2))
+    list(rows_of(second, 30, seed=9))  # another episode leaves no traces
     kept = []
-    for ours, theirs in zip(rows_of(env, 200), rows_of(twin, 200), strict=True):
+    for ours, theirs in zip(rows_of(env, 200), rows_of(second, 200), strict=True):
         kept.append((ours, copy.deepcopy(ours)))
         for name, observation in ours.items():
             assert env.observation_space(name).contains(observation)
             assert str(observation) == str(theirs[name])
     assert all(str(now) == str(then) for now, then in kept)
     assert env.observation_space("uav_0") is env.observation_space("uav_0")
-    assert env.state().tobytes() == twin.state().tobytes()
+    assert env.state().tobytes() == second.state().tobytes()
 
 
 @pytest.mark.parametrize("name", ["escort", "minefield"])
@@ -170,7 +173,7 @@ def test_pilots_and_environment_can_be_pickled_together(name):
     observations, _ = env.reset(seed=3)
     for _ in range(20):
         observations, *_ = env.step({one: policies[one](observations[one]) for one in env.agents})
-    other, others = pickle.loads(pickle.dumps((env, policies)))  # noqa: S301 - our own
+    other, others = pickle.loads(pickle.dumps((env, policies)))  # noqa: S301 - our own data
     ours, theirs = record(env, policies, observations), record(other, others, observations)
     assert len(ours) == 100
     np.testing.assert_array_equal(ours, theirs)

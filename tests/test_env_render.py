@@ -1,4 +1,4 @@
-"""The environment's pictures, and the window."""
+"""Pictures of the environment, and the window."""
 
 import sys
 
@@ -38,14 +38,14 @@ def pixels_of(frame, color):
     )
 
 
-def begun(scenario=SCENARIO):
+def started_env(scenario=SCENARIO):
     env = parallel_env(scenario, render_mode="rgb_array")
     env.reset(seed=0)
     return env
 
 
 def test_picture_shows_vehicles_and_limit_in_proportion():
-    frame = begun().render()
+    frame = started_env().render()
     assert frame.dtype == np.uint8
     assert frame.ndim == 3
     assert frame.shape[2] == 3
@@ -61,7 +61,7 @@ def test_picture_shows_vehicles_and_limit_in_proportion():
 
 
 def test_pictures_follow_the_flight_and_are_not_overwritten():
-    env = begun()
+    env = started_env()
     first = env.render()
     kept = first.copy()
     for _ in range(60):
@@ -83,18 +83,18 @@ def test_picture_depends_on_the_episode_alone():
             env.step(ACTIONS)
         return env.render()
 
-    env = begun()
+    env = started_env()
     for _ in range(100):
         env.step(ACTIONS)
     env.render()
-    assert (picture(env) == picture(begun())).all()
+    assert (picture(env) == picture(started_env())).all()
 
 
 def test_several_and_unbounded_vehicles_are_drawn():
     free = {"max_speed": float("inf"), "max_acceleration": float("inf")}
     uavs, ugvs = ((10.0, 10.0), free | {"position": (20.0, 10.0)}), ((10.0, 11.0), (20.0, 11.0))
     many = pairs(uavs, ugvs, law=Law(parameters={"reference_speed": 0.5}))
-    frame = begun(many).render()
+    frame = started_env(many).render()
     assert all(len(pixels_of(frame, color)) > 20 for color in (*UAV[:2], *UGV[:2]))
 
 
@@ -105,11 +105,11 @@ def test_without_a_mode_render_warns_and_draws_nothing():
         assert env.render() is None
 
 
-# -- many worlds, and one learner
+# -- vector and single environments
 
 
 def in_parallel(scenario, seed, actions, agent="uav_0"):
-    """The picture of the same flight in the parallel environment."""
+    """Return the picture of the same run in the parallel environment."""
     env = parallel_env(scenario, render_mode="rgb_array")
     policies = pilots(env)
     seen, _ = env.reset(seed=seed)
@@ -178,7 +178,7 @@ def test_gymnasium_makes_what_draws(mode):
 
 @pytest.fixture
 def display(monkeypatch):
-    """A display that nobody sees."""
+    """Provide a dummy display."""
     pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
 
@@ -198,7 +198,7 @@ def test_window_shows_the_same_picture(display):
     human.close()
     human.close()
     assert not pygame.display.get_init()
-    human.reset(seed=0)  # opens another
+    human.reset(seed=0)  # opens another one
     assert pygame.display.get_init()
     human.close()
 

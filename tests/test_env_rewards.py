@@ -1,4 +1,4 @@
-"""The environment's rewards, and the end of an episode."""
+"""Rewards of the environment, and the end of an episode."""
 
 import dataclasses
 import math
@@ -24,11 +24,11 @@ TWO = pairs(
     ({"position": (12.0, 20.0), "goals": ((12.2, 20.0),)}, (22.0, 20.0)),
     duration=60.0,
 )
-AWAY = [0.3, 0.0]
+OUTWARD = [0.3, 0.0]
 
 
 def flown(env, **actions):
-    """An episode to its end, in which who is not named rests: what each step returned."""
+    """Return the results of each step of an episode; vehicles without an action rest."""
     env.reset(seed=0)
     steps = []
     while env.agents:
@@ -92,7 +92,7 @@ def test_weights_scale_their_own_terms():
 
 def test_losing_sight_ends_the_episode_and_is_paid_to_its_end():
     env = parallel_env(scenario())
-    _, rewards, terminations, truncations, _ = flown(env, uav_0=AWAY)[-1]
+    _, rewards, terminations, truncations, _ = flown(env, uav_0=OUTWARD)[-1]
     assert terminations == {"uav_0": True, "ugv_0": True}
     assert truncations == {"uav_0": False, "ugv_0": False}
     assert env.metrics()["uav_0"]["distance"] >= 4.75
@@ -106,8 +106,8 @@ def test_losing_sight_ends_the_episode_and_is_paid_to_its_end():
 
 
 def test_losing_sight_early_never_pays():
-    """Else a learner would flee from the ground it is charged for."""
-    fled = flown(parallel_env(scenario()), uav_0=AWAY)
+    """Otherwise a learner would flee from the ground for which it is charged."""
+    fled = flown(parallel_env(scenario()), uav_0=OUTWARD)
     stayed = flown(parallel_env(scenario(goals=())))
     assert len(fled) < len(stayed) == 1200
     assert sum(paid(fled)) < -60.0 < sum(paid(stayed))
@@ -115,7 +115,7 @@ def test_losing_sight_early_never_pays():
 
 def test_continued_loss_of_sight_is_charged_once_then_by_tick():
     env = parallel_env(scenario(duration=30.0), end_on_sight_lost=False)
-    steps = flown(env, uav_0=AWAY)
+    steps = flown(env, uav_0=OUTWARD)
     rewards, (*_, terminations, truncations, _) = paid(steps), steps[-1]
     assert len(rewards) == 600
     assert terminations == {"uav_0": False, "ugv_0": False}
@@ -128,7 +128,7 @@ def test_continued_loss_of_sight_is_charged_once_then_by_tick():
 
 
 def test_one_lost_ugv_ends_the_episode_and_charges_its_uav():
-    _, rewards, terminations, *_ = flown(parallel_env(TWO), uav_1=AWAY)[-1]
+    _, rewards, terminations, *_ = flown(parallel_env(TWO), uav_1=OUTWARD)[-1]
     assert set(terminations.values()) == {True}
     assert rewards["uav_1"] < -10.0 < -1.0 < rewards["uav_0"]
 

@@ -1,4 +1,4 @@
-"""The environment's arrays: each entry where the layout says, and nothing that a vehicle must not know."""
+"""Arrays of the environment: each entry as documented, and nothing that a vehicle must not know."""
 
 import math
 
@@ -23,9 +23,9 @@ from sim.world import World
 GOALS = ((14.0, 10.0), (14.0, 16.0))
 
 
-def scenario(*, uav=(12.0, 10.0), ugv=(10.0, 10.0), goals=GOALS, velocity=(0.0, 0.0), **looks):
+def scenario(*, uav=(12.0, 10.0), ugv=(10.0, 10.0), goals=GOALS, velocity=(0.0, 0.0), **detections):
     driven = Ugv(position=ugv, goals=goals, velocity=velocity)
-    seen = Detections(**looks)
+    seen = Detections(**detections)
     return Scenario(duration=60.0, detections=seen, uav=(Uav(position=uav),), ugv=(driven,))
 
 
@@ -37,7 +37,7 @@ TWO = Scenario(
 
 
 def drive(env, uav, ugv, ticks):
-    """Rows of both, tick by tick, under constant actions."""
+    """Yield rows of both vehicles at each tick, under constant actions."""
     observations, infos = env.reset(seed=1)
     rows = [(observations, infos)]
     for _ in range(ticks):
@@ -57,15 +57,15 @@ def test_every_entry_has_a_meaning_and_a_range_of_known_symbols(table):
 
 
 def test_rows_hold_what_the_vehicles_perceive_over_the_bus():
-    """The same world, told in messages and in rows."""
-    told = scenario(noise=0.1, dropout=0.3, rate=10.0)
-    env, flight = parallel_env(told), Flight(told, 3)
+    """Compare the messages and the rows of the same world."""
+    observed = scenario(noise=0.1, dropout=0.3, rate=10.0)
+    env, flight = parallel_env(observed), Flight(observed, 3)
     rows, _ = env.reset(seed=3)
     seen = set()
     for tick in range(200):
         messages = flight.observations()
-        assert uav_observation(rows["uav_0"], dt=told.dt) == messages["uav_0"]
-        assert ugv_observation(rows["ugv_0"], dt=told.dt) == messages["ugv_0"]
+        assert uav_observation(rows["uav_0"], dt=observed.dt) == messages["uav_0"]
+        assert ugv_observation(rows["ugv_0"], dt=observed.dt) == messages["ugv_0"]
         seen.add(bool(messages["uav_0"].detections))
         action = np.array([0.1 * math.cos(tick), 0.1])
         rows, *_ = env.step({"uav_0": action, "ugv_0": action})
@@ -88,7 +88,7 @@ def test_ugv_row_turns_to_the_next_goal_and_keeps_the_last():
     assert (rows[0]["goal_x"], rows[0]["underway"]) == (
         10.3,
         1.0,
-    )  # the first is within the tolerance
+    )  # the first one is within the tolerance
     arrived = next(k for k, row in enumerate(rows) if not row["underway"])
     assert abs(rows[arrived]["x"] - 10.3) < 0.05 <= abs(rows[arrived - 1]["x"] - 10.3)
     assert [rows[-1][name] for name in ("goal_x", "goal_y", "underway")] == [10.3, 10.0, 0.0]
@@ -103,7 +103,7 @@ def test_ugv_without_goals_has_zeros():
 
 
 def test_uav_perceives_nothing_of_the_ugv_but_its_detections():
-    """Another velocity, other goals, other actions of a UGV that is not detected: not a bit of the UAV's changes."""
+    """Change velocity, goals and actions of an undetected UGV: no bit of the UAV's row changes."""
     options = {"end_on_sight_lost": False, "coverage_patch": (9, 1.0)}
     still = parallel_env(scenario(dropout=1.0), **options)
     fast = parallel_env(
@@ -177,12 +177,12 @@ def test_coverage_patch_is_covered_outside_the_area(pixels, scale):
     np.testing.assert_allclose(rows["uav_0"]["coverage"], expected, rtol=1e-15)
     if pixels * scale > 10.0:
         assert rows["uav_0"]["coverage"][0, 0] == 1.0  # beyond the south-west corner
-        assert rows["uav_0"]["coverage"][-1, -1] == 0.0  # unseen
+        assert rows["uav_0"]["coverage"][-1, -1] == 0.0  # uncovered
     assert isinstance(rows["ugv_0"], np.ndarray)
 
 
 def test_of_several_uavs_each_sees_its_own_map_alone():
-    """The picture holds nothing that the other has seen; ground covered from the start is in both."""
+    """The map contains nothing that the other UAV has covered; ground covered at the start is in both."""
     two = Scenario(
         duration=60.0,
         coverage=Coverage(covered=(Region(lower=(0.0, 0.0), upper=(8.0, 40.0)),)),

@@ -24,21 +24,21 @@ def test_environment_blocks_run(block, capsys):
 
 
 def test_all_arguments_are_documented() -> None:
-    told = {
+    documented = {
         row[0]
         for row in re.findall(r"^\| `(\w+)` \| (`[^`]*`) \|", PAGES[PAGE], flags=re.MULTILINE)
     }
-    assert told == {"scenario"} | DEFAULTS.keys()
+    assert documented == {"scenario"} | DEFAULTS.keys()
 
 
 def test_documented_defaults_are_the_defaults() -> None:
-    told = dict(re.findall(r"^\| `(\w+)` \| `([^`]*)` \|", PAGES[PAGE], flags=re.MULTILINE))
-    assert told.pop("scenario") == repr(
+    documented = dict(re.findall(r"^\| `(\w+)` \| `([^`]*)` \|", PAGES[PAGE], flags=re.MULTILINE))
+    assert documented.pop("scenario") == repr(
         inspect.signature(vector_env).parameters["scenario"].default
     ).replace("'", '"')
-    assert told.pop("dtype") == "np.float64"
-    assert told.pop("rewards") == "RewardWeights()"
-    assert told == {name: repr(DEFAULTS[name]) for name in told}
+    assert documented.pop("dtype") == "np.float64"
+    assert documented.pop("rewards") == "RewardWeights()"
+    assert documented == {name: repr(DEFAULTS[name]) for name in documented}
     assert inspect.signature(single_env).parameters["agent"].default == "uav_0"
 
 

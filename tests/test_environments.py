@@ -1,4 +1,4 @@
-"""All environments, of one world or of many, refuse and return alike."""
+"""All environments, of one world or of many, check and return the same way."""
 
 import copy
 import math
@@ -34,7 +34,7 @@ GOOD = np.array([0.1, 0.05])
 
 
 def step(env: Any, action: Any = GOOD) -> Any:
-    """A tick in which the UAV acts so, in each world."""
+    """Step every world with this action of the UAV."""
     if isinstance(env, VectorEnv):
         return env.step([action] * env.num_envs)
     return env.step(action if isinstance(env, gymnasium.Env) else {"uav_0": action, "ugv_0": GOOD})
@@ -43,12 +43,12 @@ def step(env: Any, action: Any = GOOD) -> Any:
 @pytest.mark.parametrize("name", ACTING)
 @pytest.mark.parametrize("kind", [list, tuple, np.float32, np.float16, np.int64])
 def test_actions_may_be_lists_or_arrays_of_any_number_type(name: str, kind: Any) -> None:
-    env, twin = ACTING[name](SCENARIO), ACTING[name](SCENARIO)
-    for one in (env, twin):
+    env, expected = ACTING[name](SCENARIO), ACTING[name](SCENARIO)
+    for one in (env, expected):
         one.reset(seed=1)
     action = [0.0, 1.0]  # exact in every type
     given = kind(action) if kind in {list, tuple} else np.array(action, dtype=kind)
-    assert equal(step(env, given), step(twin, np.array(action)))
+    assert equal(step(env, given), step(expected, np.array(action)))
 
 
 NO_PAIR, NOT_FINITE = (
@@ -68,14 +68,14 @@ NO_PAIR, NOT_FINITE = (
     ids=str,
 )
 def test_bad_action_is_refused_and_changes_nothing(name, action, words):
-    env, twin = ACTING[name](SCENARIO), ACTING[name](SCENARIO)
-    for one in (env, twin):
+    env, expected = ACTING[name](SCENARIO), ACTING[name](SCENARIO)
+    for one in (env, expected):
         one.reset(seed=5)
         for _ in range(5):
             step(one)
     with refused(ValueError, f"^actions? of uav_0.*{words}"):
         step(env, action)
-    assert equal(step(env), step(twin))
+    assert equal(step(env), step(expected))
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_of_many_worlds_the_one_whose_action_is_bad_is_named(actions, words):
     ],
 )
 @pytest.mark.parametrize(
-    ("acting", "told"),
+    ("acting", "phrase"),
     [
         (["uav_0"], "uav_0"),
         ([], "none"),
@@ -111,10 +111,10 @@ def test_of_many_worlds_the_one_whose_action_is_bad_is_named(actions, words):
         (["uav_0", "uav_7"], "uav_0, uav_7"),
     ],
 )
-def test_there_must_be_an_action_for_each_agent_and_for_no_other(name, shape, acting, told):
+def test_there_must_be_an_action_for_each_agent_and_for_no_other(name, shape, acting, phrase):
     env = (MAKERS | ACTING)[name](SCENARIO)
     env.reset(seed=1)
-    with refused(ValueError, f"^actions for: {told}; .*one for each of uav_0, ugv_0$"):
+    with refused(ValueError, f"^actions for: {phrase}; .*one for each of uav_0, ugv_0$"):
         env.step(dict.fromkeys(acting, np.zeros(shape)))
     env.step(dict.fromkeys(env.agents, np.zeros(shape)))
 
@@ -127,8 +127,8 @@ def test_it_must_be_reset_first(name: str) -> None:
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_a_seed_may_be_a_number_of_numpys(name: str) -> None:
-    env, twin = MAKERS[name](SCENARIO), MAKERS[name](SCENARIO)
-    assert equal(env.reset(seed=np.int64(3)), twin.reset(seed=3))
+    env, expected = MAKERS[name](SCENARIO), MAKERS[name](SCENARIO)
+    assert equal(env.reset(seed=np.int64(3)), expected.reset(seed=3))
 
 
 @pytest.mark.parametrize(
@@ -141,12 +141,12 @@ def test_a_seed_may_be_a_number_of_numpys(name: str) -> None:
 )
 def test_a_bad_seed_is_refused_and_the_episode_goes_on(names: tuple[str, ...], seed: Any) -> None:
     for name in names:
-        env, twin = MAKERS[name](SCENARIO), MAKERS[name](SCENARIO)
-        for one in (env, twin):
+        env, expected = MAKERS[name](SCENARIO), MAKERS[name](SCENARIO)
+        for one in (env, expected):
             one.reset(seed=1)
         with refused(ValueError, "seed"):
             env.reset(seed=seed)
-        assert equal(step(env), step(twin))
+        assert equal(step(env), step(expected))
 
 
 @pytest.mark.parametrize(

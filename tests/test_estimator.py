@@ -1,4 +1,4 @@
-"""The Kalman filter on relative detections: its equations, its consistency, and what it does when detections fail."""
+"""The Kalman filter on relative detections: its equations, its consistency, and faulty detections."""
 
 import copy
 import math
@@ -27,10 +27,10 @@ from filters import (
     cut_noise,
     drawn_from_the_model,
     drive,
-    look,
     make,
     model,
     squared,
+    updated,
     within,
 )
 
@@ -53,7 +53,7 @@ def test_equals_the_equations_written_out_by_hand(target):
         own = rng.normal(size=2)
         seen = rng.random() < 0.8 or x is None
         z = np.array([20.0, 20.0]) + rng.normal(size=2) * 0.3 if seen else None
-        estimate = look(estimator, tick, z, own=tuple(own))
+        estimate = updated(estimator, tick, z, own=tuple(own))
         if x is None:
             x, P = np.array([*z, 0.0, 0.0]), estimator.covariance
             continue
@@ -75,8 +75,8 @@ def test_equals_the_equations_written_out_by_hand(target):
 
 
 def test_equals_batch_least_squares_over_the_whole_trajectory():
-    # Unknown are the first state and each tick's acceleration; the estimate is a linear function of their least
-    # squares.
+    # Unknowns: the first state and the acceleration at each tick. The estimate is a linear function of their
+    # least-squares solution.
     rng = np.random.default_rng(2)
     estimator = make(target=FREE, gate=1e12)
     F, _ = model()
@@ -94,7 +94,7 @@ def test_equals_batch_least_squares_over_the_whole_trajectory():
             to_state = F @ to_state
             to_state[:, 2 + 2 * k : 4 + 2 * k] += PUSH
         seen = truth[:2] + SIGMA * rng.normal(size=2) if k % 7 in (0, 1, 3) else None
-        look(estimator, k, seen)
+        updated(estimator, k, seen)
         if k == 0:
             prior = np.linalg.inv(estimator.covariance)
             information[:4, :4] += prior
@@ -165,7 +165,7 @@ def test_variance_of_cut_noise_at_its_limits():
 
 
 def fly_the_model(seed, count, cut):
-    """A UGV that is drawn from the filter's own model: where it was and where it is seen."""
+    """Return the true states of a UGV that moves by the filter's model, and its detected positions."""
     rng = np.random.default_rng(seed)
     noise = cut_noise(seed, count, cut=cut) if cut else SIGMA * rng.normal(size=(count, 2))
     truth = drawn_from_the_model(rng, count)
@@ -173,7 +173,7 @@ def fly_the_model(seed, count, cut):
 
 
 def each_tick(own, seen):
-    """The looks of a UGV that is seen at each tick, as `by_both` takes them."""
+    """Return the detections of a UGV at each tick, in the form of `by_both`."""
     return {k: [(k, *p_delta)] for k, p_delta in enumerate((own - seen).tolist())}
 
 
@@ -194,7 +194,7 @@ def test_is_consistent_when_the_ugv_moves_as_the_model_says(cut):
 
 @pytest.mark.parametrize("legs", [(1.0, 8.0), (0.2, 0.8)], ids=["waypoints", "restless"])
 def test_real_ugv_is_tracked_consistently_and_accurately(legs):
-    """100 flights of 50 s over a real UGV, seen with cut noise by a UAV that flies a circle."""
+    """100 runs of 50 s with a real UGV, detected with truncated noise by a UAV on a circle."""
     flights, count, angle = 100, 1000, 0.005 * np.arange(1000)
     own = 20.0 + 3.0 * np.stack((np.cos(angle), np.sin(angle)), axis=1)
     nees, nis, errors, noises, refused = [], [], [], [], 0
@@ -209,7 +209,7 @@ def test_real_ugv_is_tracked_consistently_and_accurately(legs):
     ratio = math.sqrt(np.mean(np.square(errors)) / np.mean(np.square(noises)))
     print(f"RMS of the estimate / RMS of the detections: {ratio:.3f}")  # noqa: T201
     assert ratio < 0.8
-    assert refused <= 2  # of 100,000; 1 in 10,000 were allowed to uncut noise
+    assert refused <= 2  # of 100,000; 1 in 10,000 would be allowed for noise without truncation
     upper_nees = chi2.ppf(0.9995, 4 * flights) / flights
     upper_nis = chi2.ppf(0.9995, 2 * flights * (count - 1)) / (flights * (count - 1))
     nees, nis = np.mean(nees), np.mean(nis)
@@ -218,13 +218,13 @@ def test_real_ugv_is_tracked_consistently_and_accurately(legs):
     assert nis <= upper_nis
 
 
-# When detections fail
+# Faulty detections
 
 
-def test_nothing_is_believed_before_the_first_detection():
+def test_no_estimate_before_the_first_detection():
     estimator = make()
-    assert all(look(estimator, k) is None for k in range(5))
-    first = look(estimator, 5, (3.0, 4.0), own=(1.0, 1.0))
+    assert all(updated(estimator, k) is None for k in range(5))
+    first = updated(estimator, 5, (3.0, 4.0), own=(1.0, 1.0))
     assert first.position == (3.0, 4.0)
     assert first.velocity == (0.0, 0.0)
     assert first.covariance == (VARIANCE, 0.0, VARIANCE)
@@ -233,8 +233,8 @@ def test_nothing_is_believed_before_the_first_detection():
 
 def test_outlier_is_refused_and_moves_nothing():
     hit, alone = converged(), converged()
-    outlier = look(hit, 400, (25.0, 20.0))
-    nothing = look(alone, 400)
+    outlier = updated(hit, 400, (25.0, 20.0))
+    nothing = updated(alone, 400)
     assert (outlier.rejected, nothing.rejected) == (1, 0)
     assert outlier.position == nothing.position
     assert outlier.age == nothing.age == DT
@@ -246,28 +246,28 @@ def test_outlier_is_refused_and_moves_nothing():
 def test_filter_restarts_after_too_many_rejections():
     estimator = converged(max_rejections=5)
     for k in range(400, 404):
-        assert look(estimator, k, (30.0, 25.0)).position != (30.0, 25.0)
-    anew = look(estimator, 404, (30.0, 25.0))
-    assert anew.position == (30.0, 25.0)
-    assert anew.velocity == (0.0, 0.0)
-    assert (anew.age, anew.rejected) == (0.0, 5)
-    after = look(estimator, 405, (30.0, 25.05))
+        assert updated(estimator, k, (30.0, 25.0)).position != (30.0, 25.0)
+    restarted = updated(estimator, 404, (30.0, 25.0))
+    assert restarted.position == (30.0, 25.0)
+    assert restarted.velocity == (0.0, 0.0)
+    assert (restarted.age, restarted.rejected) == (0.0, 5)
+    after = updated(estimator, 405, (30.0, 25.05))
     assert after.rejected == 5
 
 
-def test_a_believed_detection_between_outliers_restores_patience():
+def test_accepted_detection_resets_the_rejection_count():
     estimator = converged(max_rejections=3, speed=0.0)
     for k in range(400, 440):
-        estimate = look(estimator, k, (20.0, 20.0) if k % 3 == 0 else (30.0, 20.0))
+        estimate = updated(estimator, k, (20.0, 20.0) if k % 3 == 0 else (30.0, 20.0))
     assert estimate.position == pytest.approx((20.0, 20.0), abs=0.1)
     assert estimate.rejected == 27
 
 
 def test_coasting_goes_straight_on_while_age_and_covariance_grow():
     estimator = converged()
-    before = look(estimator, 400)
+    before = updated(estimator, 400)
     for k in range(401, 600):
-        after = look(estimator, k)
+        after = updated(estimator, k)
         assert after.age == pytest.approx((k - 399) * DT)
         assert after.velocity == before.velocity
         assert after.covariance[0] > before.covariance[0]
@@ -275,10 +275,10 @@ def test_coasting_goes_straight_on_while_age_and_covariance_grow():
         before = after
 
 
-def test_speed_is_never_believed_beyond_the_ugvs():
+def test_estimated_speed_never_exceeds_the_ugvs_limit():
     estimator = make()
-    for k in range(100):  # seen at 1 m/s: five times what it can
-        estimate = look(estimator, k, (20.0 + 1.0 * k * DT, 20.0))
+    for k in range(100):  # detected at 1 m/s: five times its limit
+        estimate = updated(estimator, k, (20.0 + 1.0 * k * DT, 20.0))
         assert math.hypot(*estimate.velocity) <= UGV.max_speed * (1.0 + 1e-12)
     assert math.hypot(*estimate.velocity) == pytest.approx(UGV.max_speed, rel=0.05)
 
@@ -293,40 +293,40 @@ def test_speed_is_never_believed_beyond_the_ugvs():
 def test_coasting_uncertainty_is_bounded_by_the_ugvs_limits(gaps, noise, speed, acceleration):
     estimator = make(noise=noise, target=Limits(max_speed=speed, max_acceleration=acceleration))
     for k in range(4):
-        start = look(estimator, k, (20.0, 20.0))
+        start = updated(estimator, k, (20.0, 20.0))
     tick = 3
     for gap in gaps:
         tick += gap
-        now = look(estimator, tick)
+        now = updated(estimator, tick)
         P = estimator.covariance
         for axis in (0, 1):
-            reach = math.sqrt(start.covariance[2 * axis]) + speed * now.age
-            assert math.sqrt(P[axis, axis]) <= reach * (1.0 + 1e-9)
+            largest = math.sqrt(start.covariance[2 * axis]) + speed * now.age
+            assert math.sqrt(P[axis, axis]) <= largest * (1.0 + 1e-9)
             assert math.sqrt(P[axis + 2, axis + 2]) <= speed * (1.0 + 1e-9)
         np.testing.assert_allclose(P, P.T, rtol=1e-12)
         d = np.sqrt(np.diag(P))
         assert np.linalg.eigvalsh(P / np.outer(d, d))[0] > -1e-9
     assert now.age == pytest.approx((tick - 3) * DT)
-    assert look(estimator, tick + 1, (20.0, 20.0)).age == 0.0
+    assert updated(estimator, tick + 1, (20.0, 20.0)).age == 0.0
 
 
 def test_one_long_gap_and_many_ticks_end_in_the_same_place():
     for target in (FREE, UGV):
         leap, walk = converged(target), converged(target)
-        at_once = look(leap, 399 + 50)
+        at_once = updated(leap, 399 + 50)
         for k in range(400, 400 + 50):
-            step_by_step = look(walk, k)
+            step_by_step = updated(walk, k)
         assert at_once == step_by_step
         np.testing.assert_array_equal(leap.covariance, walk.covariance)
 
 
 def test_a_detection_after_a_long_gap_is_let_in_again():
     soon, late = converged(speed=0.2), converged(speed=0.2)
-    moved = (20.0 + 0.2 * 400 * DT - 1.5, 20.0)  # 1.5 m from where the UGV was going
-    assert look(soon, 401, moved).rejected == 1
+    moved = (20.0 + 0.2 * 400 * DT - 1.5, 20.0)  # 1.5 m from the predicted position
+    assert updated(soon, 401, moved).rejected == 1
     for k in range(400, 600):
-        look(late, k)
-    back = look(late, 600, moved)  # 10 s later: it may have turned
+        updated(late, k)
+    back = updated(late, 600, moved)  # 10 s later: it may have turned
     assert (back.rejected, back.age) == (0, 0.0)
     assert back.position == pytest.approx(moved, abs=0.2)
 
@@ -336,7 +336,7 @@ def test_detections_of_another_time_are_refused():
     late = Look(390, -22.0, -20.0)
     estimate = used.update(tick=400, own_position=(0.0, 0.0), detections=(late, late))
     assert estimate.rejected == 2
-    assert estimate.position == look(unused, 400).position
+    assert estimate.position == updated(unused, 400).position
     assert make().update(tick=20, own_position=(0.0, 0.0), detections=(late,)) is None
 
 
@@ -344,28 +344,28 @@ def test_duplicate_detections_and_predictions_count_once():
     once, twice = converged(), converged()
     first, second = Look(400, -22.0, -20.0), Look(400, -22.1, -20.0)
 
-    def told(estimator, *looks):
-        return estimator.update(tick=400, own_position=(0.0, 0.0), detections=looks)
+    def position_and_age(estimator, *detections):
+        return estimator.update(tick=400, own_position=(0.0, 0.0), detections=detections)
 
-    expected = told(once, first)
-    told(twice)
-    assert told(twice, first, second) == told(twice, first) == expected
+    expected = position_and_age(once, first)
+    position_and_age(twice)
+    assert position_and_age(twice, first, second) == position_and_age(twice, first) == expected
     np.testing.assert_array_equal(once.covariance, twice.covariance)
 
 
 def test_filter_copy_continues_alike_and_independently():
     original = converged()
-    for copied in (copy.deepcopy(original), pickle.loads(pickle.dumps(original))):  # noqa: S301 - our own
-        twin = converged()
+    for copied in (copy.deepcopy(original), pickle.loads(pickle.dumps(original))):  # noqa: S301 - our own data
+        second = converged()
         for tick, seen in (
             (400, (20.1, 20.0)),
             (401, None),
             (402, (20.0, 20.1)),
             (405, (20.0, 20.0)),
         ):
-            assert look(copied, tick, seen) == look(twin, tick, seen)
-            np.testing.assert_array_equal(copied.covariance, twin.covariance)
-    assert look(original, 400).age == DT
+            assert updated(copied, tick, seen) == updated(second, tick, seen)
+            np.testing.assert_array_equal(copied.covariance, second.covariance)
+    assert updated(original, 400).age == DT
 
 
 def test_time_that_goes_back_is_an_error():
@@ -377,24 +377,24 @@ def test_time_that_goes_back_is_an_error():
 
 def test_switched_off_it_holds_the_newest_detection_as_it_is():
     estimator = make(enabled=False)
-    assert look(estimator, 0) is None
-    look(estimator, 1, (20.0, 20.0))
-    jumped = look(estimator, 2, (35.0, 11.0), own=(30.0, 10.0))
+    assert updated(estimator, 0) is None
+    updated(estimator, 1, (20.0, 20.0))
+    jumped = updated(estimator, 2, (35.0, 11.0), own=(30.0, 10.0))
     assert jumped.position == (35.0, 11.0)
     for k in range(3, 50):
-        held = look(estimator, k, own=(5.0, 5.0))
-    assert held.position == (35.0, 11.0)
-    assert held.velocity == (0.0, 0.0)
-    assert held.covariance == (VARIANCE, 0.0, VARIANCE)
-    assert held.age == pytest.approx(47 * DT)
-    assert held.rejected == 0
+        kept_estimate = updated(estimator, k, own=(5.0, 5.0))
+    assert kept_estimate.position == (35.0, 11.0)
+    assert kept_estimate.velocity == (0.0, 0.0)
+    assert kept_estimate.covariance == (VARIANCE, 0.0, VARIANCE)
+    assert kept_estimate.age == pytest.approx(47 * DT)
+    assert kept_estimate.rejected == 0
 
 
 @pytest.mark.parametrize("acceleration", [0.1, None])
 def test_without_noise_it_follows_exactly_and_refuses_nothing(acceleration):
     estimator = make(noise=0.0, target=Limits(max_speed=0.2, max_acceleration=acceleration))
     for k, truth in enumerate(drive(5, 1500, (0.2, 2.0)).tolist()):
-        estimate = look(estimator, k, truth[:2])
+        estimate = updated(estimator, k, truth[:2])
         assert estimate.position == pytest.approx(tuple(truth[:2]), abs=1e-6)
         assert 0.0 < estimate.covariance[0] < 1e-11
     assert estimate.rejected == 0
@@ -405,7 +405,7 @@ def test_unbounded_ugv_turning_in_a_tick_is_followed():
     x, errors = 20.0, []
     for k in range(2000):
         x += (0.2 if k // 100 % 2 else -0.2) * DT
-        estimate = look(estimator, k, (x + noise[k, 0], 20.0 + noise[k, 1]))
+        estimate = updated(estimator, k, (x + noise[k, 0], 20.0 + noise[k, 1]))
         errors.append((estimate.position[0] - x, estimate.position[1] - 20.0))
     assert estimate.rejected == 0
     assert np.std(errors) < 0.6 * SIGMA

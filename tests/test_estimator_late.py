@@ -1,4 +1,4 @@
-"""The filter under a bad network: detections that come late, out of order, twice, in bursts or not at all."""
+"""The filter on a bad network: detections that are late, out of order, duplicated, in bursts or missing."""
 
 import math
 from collections import defaultdict
@@ -25,25 +25,25 @@ from filters import (
     cut_noise,
     drawn_from_the_model,
     drive,
-    look,
     make,
     squared,
     straying,
+    updated,
     within,
 )
 from properties import PROPERTY
 
-EVERY = 4  # ticks between two looks: 0.2 s
+EVERY = 4  # ticks between two detections: 0.2 s
 AGILE = Limits(max_speed=0.2, max_acceleration=None)
 
 
 def own(tick):
-    """Return the position of a UAV that flies a circle, so that it differs from its position a second ago."""
+    """Return the position of a UAV on a circle, which differs from that a second ago."""
     return (20.0 + 3.0 * math.cos(0.01 * tick), 20.0 + 3.0 * math.sin(0.01 * tick))
 
 
 def detection(tick, seen):
-    """A look at tick `tick` that finds the UGV at `seen` in the world."""
+    """Return a detection at this tick of a UGV at `seen` in the world frame."""
     p_x, p_y = own(tick)
     return Detection(time=tick * DT, relative_position=(p_x - seen[0], p_y - seen[1]))
 
@@ -57,7 +57,7 @@ def bits(estimator):
 
 
 def followed(ticks=200, missing=(), **chosen):
-    """A filter that has looked at a UGV along x at each tick but the missing ones."""
+    """Return a filter that has detected a UGV along x at each tick but the missing ones."""
     estimator = make(**chosen)
     for k in range(ticks):
         call(estimator, k, *(() if k in missing else (detection(k, along(k)),)))
@@ -69,16 +69,16 @@ def along(tick):
     return (20.0 + 0.1 * tick * DT + noise[0], 20.0 + noise[1])
 
 
-# The same as in order
+# Arrival order
 
 flights = st.lists(
     st.tuples(
-        st.sampled_from([1, 1, 1, 2, 5, 30]),  # ticks since the call before
+        st.sampled_from([1, 1, 1, 2, 5, 30]),  # ticks since the previous update
         st.sampled_from(["seen", "seen", "gross", "missed"]),
         st.sampled_from(
             [[0], [1], [2], [3], [5], [9], [12], [2, 2], [0, 6], [4, 1, 7], []]
-        ),  # calls each copy is late; none: lost
-        st.booleans(),  # whether what waits arrives
+        ),  # delay of each copy in updates; none: lost
+        st.booleans(),  # whether the queue is delivered
     ),
     min_size=10,
     max_size=18,
@@ -97,7 +97,7 @@ def test_arrival_order_changes_no_bit_of_the_estimate(
     flight, target, max_rejections, enabled, order
 ):
     ticks = np.cumsum([step for step, *_ in flight] + [1] * 12).tolist()
-    post = defaultdict(list)  # by the call at which it arrives
+    post = defaultdict(list)  # by the update at which it arrives
     taken = {}
     for k, (_, what, copies, _) in enumerate(flight):
         seen = (30.0, 12.0) if what == "gross" else (20.0 + 0.01 * k, 20.0 + 0.05 * (k % 3))
@@ -139,7 +139,7 @@ def test_age_is_that_of_the_newest_accepted_detection():
         call(estimator, 31, detection(25, (20.0, 20.0)), detection(5, (20.0, 20.0))).age == 6 * DT
     )
     assert call(estimator, 32, detection(12, (20.0, 20.0))).age == 7 * DT
-    assert call(estimator, 33, detection(30, (29.0, 20.0))).age == 8 * DT  # refused
+    assert call(estimator, 33, detection(30, (29.0, 20.0))).age == 8 * DT  # rejected
 
 
 def test_disabled_filter_holds_the_detection_taken_last():
@@ -152,10 +152,12 @@ def test_disabled_filter_holds_the_detection_taken_last():
     assert after.age == 2 * DT
 
 
-def test_the_gate_judges_anew_when_something_earlier_arrives():
+def test_gate_is_reevaluated_when_an_earlier_detection_arrives():
     estimator = make()
     call(estimator, 0)
-    call(estimator, 1, detection(1, (30.0, 25.0)))  # an outlier, and the first that it receives of
+    call(
+        estimator, 1, detection(1, (30.0, 25.0))
+    )  # an outlier, which is the first detection it receives
     for k in (2, 3):
         deceived = call(estimator, k, detection(k, (20.0, 20.0)))
     assert (deceived.rejected, deceived.age) == (2, 2 * DT)
@@ -164,7 +166,7 @@ def test_the_gate_judges_anew_when_something_earlier_arrives():
     assert mended.position == pytest.approx((20.0, 20.0), abs=1e-9)
 
 
-# What is not used
+# Unused detections
 
 
 def test_duplicates_are_ignored_and_counted_whenever_they_come():
@@ -176,7 +178,7 @@ def test_duplicates_are_ignored_and_counted_whenever_they_come():
     assert (once.duplicates, often.duplicates, often.too_old) == (0, 3, 0)
     refused = detection(201, (30.0, 30.0))
     first = call(often, 201, refused)
-    # a copy of a refused one is a copy
+    # a copy of a rejected one is a copy
     assert call(often, 202, refused).rejected == first.rejected == 1
     assert often.duplicates == 4
 
@@ -191,8 +193,8 @@ def test_second_late_detection_of_one_time_is_rejected():
 
 def test_what_is_older_than_the_span_is_dropped_and_counted():
     def fly(*late):
-        told = {"detector": Detector(noise=SIGMA, period=DT), "settings": Estimator()}
-        estimator = RelativeEstimator(**told, target=UGV, dt=DT, span=1.0)
+        arguments = {"detector": Detector(noise=SIGMA, period=DT), "settings": Estimator()}
+        estimator = RelativeEstimator(**arguments, target=UGV, dt=DT, span=1.0)
         for k in range(100):
             call(estimator, k, *([detection(k, along(k))] if k not in (79, 80) else []))
         return call(estimator, 100, *(detection(k, along(k)) for k in late)), estimator
@@ -222,9 +224,9 @@ def test_detections_of_skipped_ticks_are_rejected():
     before = Detection(time=209 * DT, relative_position=(0.0, 0.0))
     ahead = Detection(time=211 * DT, relative_position=(0.0, 0.0))
     assert call(estimator, 210, between, before, ahead).rejected == 3
-    begun_late = make()
-    call(begun_late, 50)
-    assert call(begun_late, 51, detection(20, (20.0, 20.0))) is None
+    started_late = make()
+    call(started_late, 50)
+    assert call(started_late, 51, detection(20, (20.0, 20.0))) is None
 
 
 def test_the_past_that_is_kept_is_bounded():
@@ -250,7 +252,7 @@ NETWORKS = (
 
 
 def arrivals(network, seed, count):
-    """For each tick of a flight, the ticks whose looks arrive then; drawn without regard to what they show."""
+    """Return, for each tick of a run, the detections that arrive then, independent of their content."""
     rng = np.random.default_rng(seed)
     at = defaultdict(list)
     bad = False
@@ -278,11 +280,11 @@ def arrivals(network, seed, count):
 
 
 def fly_through(network, seed, truth, noise, **chosen):
-    """Errors and covariances at each tick from 5 s on, NaN before the first detection, and how many were refused."""
+    """Return errors and covariances at each tick from 5 s on, NaN before the first detection, and the rejections."""
     places = np.array([own(k) for k in range(len(truth))])
-    said = (places - truth[:, :2] - noise).tolist()
+    detected = (places - truth[:, :2] - noise).tolist()
     arrived = arrivals(network, seed, len(truth))
-    at = {k: [(i, *said[i]) for i in taken] for k, taken in arrived.items()}
+    at = {k: [(i, *detected[i]) for i in taken] for k, taken in arrived.items()}
     found = by_both(seed, places, at, **chosen)
     return (found.states - truth)[100:], found.covariances[100:], found.rejected
 
@@ -297,7 +299,7 @@ def test_bad_network_leaves_the_filter_consistent(network):
         chosen = {"target": FREE, "cut": None, "gate": 1e12}
         errors, covariances, _ = fly_through(network, seed, truth, noise, **chosen)
         nees.append(squared(errors, covariances))
-    for k in (0, 99, 198, 201, 299):  # 5 s, 10 s, 14.9 s: the last of a blackout, 15.1 s, 20 s
+    for k in (0, 99, 198, 201, 299):  # 5 s, 10 s, 14.9 s: the last tick of a blackout, 15.1 s, 20 s
         known = np.array(nees)[:, k]
         known = known[~np.isnan(known)]
         assert len(known) > 0.8 * flights
@@ -324,10 +326,10 @@ def test_is_not_too_sure_of_a_real_ugv_on_a_bad_network(network, legs):
     nees, seen, refused = [], [], 0
     for seed in range(flights):
         truth, noise = drive(seed, count, legs), cut_noise(seed, count)
-        errors, covariances, given_up = fly_through(network, seed, truth, noise)
+        errors, covariances, rejections = fly_through(network, seed, truth, noise)
         nees.append(squared(errors, covariances))
         seen.append(squared(errors[:, :2], covariances[:, :2, :2]))
-        refused += given_up
+        refused += rejections
     for average, degrees in ((np.nanmean(nees), 4), (np.nanmean(seen), 2)):
         upper = chi2.ppf(0.9995, degrees * flights) / flights
         print(f"average {average:.3f} <= {upper:.3f}")  # noqa: T201
@@ -340,9 +342,9 @@ def test_late_detections_improve_on_the_newest_alone():
     for seed in range(20):
         truth, noise = drive(seed, 700, (1.0, 8.0)), cut_noise(seed, 700)
         errors, _, _ = fly_through("1 s late", seed, truth, noise)
-        held, _, _ = fly_through("1 s late", seed, truth, noise, enabled=False)
+        newest_alone, _, _ = fly_through("1 s late", seed, truth, noise, enabled=False)
         ours.append(errors[:, :2])
-        theirs.append(held[:, :2])
+        theirs.append(newest_alone[:, :2])
     ratio = math.sqrt(np.mean(np.square(ours)) / np.mean(np.square(theirs)))
     print(f"RMS of the estimate / RMS of the newest detection: {ratio:.3f}")  # noqa: T201
     assert ratio < 0.6
@@ -368,9 +370,9 @@ def test_straying_is_what_a_ugv_does_that_turns_round_at_once():
 def test_ugv_reversing_in_a_gap_is_accepted_again(gap):
     estimator, ticks = converged(speed=0.2), round(gap / DT)
     x = 20.0 + 0.2 * 399 * DT + 0.2 * gap - straying(elapsed=gap, target=UGV, manoeuvre=1.0, dt=DT)
-    look(estimator, 399 + ticks - 1)
+    updated(estimator, 399 + ticks - 1)
     P = estimator.covariance[:2, :2]
-    back = look(estimator, 399 + ticks, (x, 20.0))
+    back = updated(estimator, 399 + ticks, (x, 20.0))
     assert (back.rejected, back.age) == (0, 0.0)
     assert estimator.innovation_squared < 9.0
     assert math.sqrt(P[0, 0]) < math.sqrt(VARIANCE) + 0.2 * gap

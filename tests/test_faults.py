@@ -1,4 +1,4 @@
-"""Runs that meet what real deployments do to them: real processes, killed, frozen, cut off, and back again."""
+"""Runs under the faults of real deployments: processes that are killed, frozen, disconnected, and return."""
 
 import errno
 import json
@@ -42,19 +42,19 @@ QUIET = ("escort", "--duration", str(SECONDS), "--no-files", "--json")
 
 @cache
 def undisturbed(secret: str = "") -> str:
-    """The hash of that run when nothing happens to it."""
+    """Return the hash of that run without faults."""
     return fly(WHOLE, 7, secret=secret)[1].trajectory_sha256
 
 
 def finished(run: "subprocess.Popen[str]", seconds: float = 90.0) -> tuple[dict[str, object], str]:
-    """Summary and standard error of a run that has come to its end."""
+    """Return summary and standard error of a run that has ended."""
     out, err = run.communicate(timeout=seconds)
     assert run.returncode == 0, err
     return json.loads(out), err
 
 
 def ended(vehicle: "subprocess.Popen[str]", why: str) -> None:
-    """A vehicle's process has ended by itself, with one line that says why."""
+    """Wait until a vehicle's process has ended by itself, with one line as the reason."""
     _, err = vehicle.communicate(timeout=60)
     assert vehicle.returncode == 1
     assert why in err
@@ -79,7 +79,7 @@ def test_respawn_after_a_kill_and_a_freeze_changes_no_bit() -> None:
 
 
 def answered(status: Status) -> int:
-    """Ticks for which the UAV had a new command."""
+    """Return the number of ticks with a new command of the UAV."""
     return status.tick - status.vehicles["uav_0"].missing_commands
 
 
@@ -87,16 +87,16 @@ def test_absent_vehicle_brakes_in_real_time_and_resumes():
     endless = ("escort", "--duration", "100000", "--no-files", "--json")
     with flying(*endless, "--realtime", "20", "--respawn") as run:
         with observing(run) as session:
-            await_status(session, lambda status: status.tick > 0)  # it sees what comes now
+            await_status(session, lambda status: status.tick > 0)  # it observes the current ticks
             os.kill(child_of(run, "uav"), signal.SIGKILL)
-            gone = await_status(session, lambda status: status.vehicles["uav_0"].lost == 1)
+            absent = await_status(session, lambda status: status.vehicles["uav_0"].lost == 1)
             back = await_status(session, lambda status: status.vehicles["uav_0"].rejoined == 1)
             flies = answered(back) + 100
             later = await_status(session, lambda status: answered(status) > flies)
         run.send_signal(signal.SIGINT)
         summary = json.loads(run.communicate(timeout=60)[0])
-    assert gone.target_factor == 20.0
-    assert back.tick > gone.tick  # nobody waited
+    assert absent.target_factor == 20.0
+    assert back.tick > absent.tick  # no tick waited
     assert later.vehicles["uav_0"].missing_commands >= 10
     faults = summary["faults"]
     assert isinstance(faults, dict)
@@ -104,7 +104,7 @@ def test_absent_vehicle_brakes_in_real_time_and_resumes():
     assert summary["realtime"] == 20.0
 
 
-def test_a_vehicle_that_cannot_live_is_not_started_for_ever(tmp_path: Path) -> None:
+def test_repeatedly_failing_vehicle_is_not_restarted_forever(tmp_path: Path) -> None:
     (tmp_path / "deadly.py").write_text(
         "import os\n\ndef weighting(distance, r_s):\n"
         "    if 'OUTRIDER_DIES' in os.environ and distance > 2.0 and distance < r_s:\n        os._exit(3)\n"
@@ -118,13 +118,13 @@ def test_a_vehicle_that_cannot_live_is_not_started_for_ever(tmp_path: Path) -> N
     arguments = words(
         "run --law weighted --set custom.weighting=deadly:weighting --respawn --no-files --json"
     )
-    told = {"cwd": tmp_path, "env": os.environ | {"OUTRIDER_DIES": "1"}, "timeout": 150}
-    run = python(code, *arguments, check=False, **told)
+    settings = {"cwd": tmp_path, "env": os.environ | {"OUTRIDER_DIES": "1"}, "timeout": 150}
+    run = python(code, *arguments, check=False, **settings)
     assert run.returncode == 1
     assert "uav_0 (pid" in run.stderr
     assert "ended with exit code 3" in run.stderr
     assert "is not restarted" in run.stderr
-    assert "did not reconnect" not in run.stderr  # the run has ended at once: nobody waited for it
+    assert "did not reconnect" not in run.stderr  # the run ends at once and does not wait
     assert json.loads(run.stdout)["complete"] is False
 
 
@@ -135,7 +135,7 @@ def test_a_vehicle_killed_before_the_first_tick_is_started_again(monkeypatch):
         def __init__(self, name: str, *arguments: Any, **named: Any) -> None:
             super().__init__(name, *arguments, **named)
             if name != "simulator" and name not in self.started:
-                self.kill()  # it has not even loaded Python: nobody has met it
+                self.kill()  # before it has loaded Python
             self.started.append(name)
 
     monkeypatch.setattr(launch, "Child", Doomed)
@@ -149,7 +149,7 @@ def test_a_vehicle_killed_before_the_first_tick_is_started_again(monkeypatch):
 
 
 def test_a_router_that_dies_and_comes_back_changes_no_bit(tmp_path: Path) -> None:
-    """The one that comes is for this run alone, and ends with it."""
+    """The restarted router is for this run alone, and ends with it."""
     with scattered(tmp_path) as run:
         router = run.router()
         simulator = run.simulator()
@@ -162,7 +162,7 @@ def test_a_router_that_dies_and_comes_back_changes_no_bit(tmp_path: Path) -> Non
         assert [process.wait(30.0) for process in (*vehicles, again)] == [0, 0, 0]
     assert summary["trajectory_sha256"] == undisturbed(SECRET)
     assert summary["deterministic"] is True
-    assert "router reconnected" in err  # it may have been away too shortly for anybody to see
+    assert "router reconnected" in err  # it may have been absent too briefly to be noticed
 
 
 def test_lost_router_ends_every_process_with_a_reason(tmp_path: Path) -> None:
@@ -177,7 +177,7 @@ def test_lost_router_ends_every_process_with_a_reason(tmp_path: Path) -> None:
         assert simulator.returncode == 1
         assert "the router has been disconnected for 2 s" in err
         assert "Traceback" not in err
-        assert json.loads(out)["ticks"] > 100  # what was flown is kept
+        assert json.loads(out)["ticks"] > 100  # the flown part is kept
         for vehicle in vehicles:
             ended(vehicle, "the router has been absent for 2 s")
 
@@ -219,8 +219,8 @@ def test_a_port_in_use_is_named(command) -> None:
     assert "Traceback" not in run.stderr
 
 
-def test_a_full_disk_takes_the_file_and_not_the_result(tmp_path: Path, command) -> None:
-    """/dev/full answers every write as a full disk does."""
+def test_full_disk_loses_the_file_but_not_the_result(tmp_path: Path, command) -> None:
+    """/dev/full fails every write like a full disk."""
     for name in ("trajectory.csv", "flight.png"):
         (tmp_path / name).symlink_to("/dev/full")
     run = command("run", "--in-process", "--duration", "20", "--out", tmp_path, "--json")
@@ -269,23 +269,23 @@ def test_files_with_a_secret_are_new_files_of_their_owner(tmp_path, command) -> 
 
 @pytest.mark.parametrize("written", ["figure-1.png", "mine.toml"])
 def test_a_full_disk_names_the_file_that_could_not_be_written(tmp_path: Path, written) -> None:
-    """By itself neither the system nor a library that writes names it."""
+    """Neither the system nor the writing library names the file."""
     full = tmp_path / written
     full.symlink_to("/dev/full")
     writers: dict[str, Callable[[], object]] = {
         "figure-1.png": lambda: style.save(style.new_figure(200, 200), full),
         "mine.toml": lambda: scenarios.new(full, force=True, schema=False),
     }
-    with pytest.raises(OSError, match="No space left") as told:
+    with pytest.raises(OSError, match="No space left") as error:
         writers[written]()
-    assert told.value.filename == str(full)
+    assert error.value.filename == str(full)
 
 
 def test_a_late_vehicle_is_named_on_the_terminal() -> None:
     with flying(*QUIET, "--set", "run.deadline=0.3") as run:
         frozen = child_of(run, "ugv")
         os.kill(frozen, signal.SIGSTOP)
-        time.sleep(0.6)  # less than it takes until it counts as gone
+        time.sleep(0.6)  # less than the timeout of a vehicle
         os.kill(frozen, signal.SIGCONT)
         summary, err = finished(run)
     assert "ugv_0 is late: no command for tick" in " ".join(err.split())

@@ -1,6 +1,4 @@
-"""The field: sensor (2), accumulation (3), error (4), density (9) and the integral of (6), against NumPy and against
-calculus.
-"""
+"""The field: sensor (2), accumulation (3), error (4), density (9) and the integral of (6), by NumPy and calculus."""
 
 import math
 from dataclasses import dataclass
@@ -50,7 +48,7 @@ class Place:
 
 @st.composite
 def places(draw: st.DrawFn) -> Place:
-    """Areas that are no squares, cells of many sizes, vehicles inside Q, on its border and outside."""
+    """Draw non-square areas, cells of many sizes, and vehicles inside Q, on its border and outside."""
     cell = draw(st.sampled_from((0.1, 0.25, 0.37, 1.0)))
     rows, columns = draw(st.integers(1, 60)), draw(st.integers(1, 60))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
@@ -121,7 +119,7 @@ def test_gradient_vanishes_in_symmetric_states_and_only_there(sensor, p):
 
 
 def error_decrease(coverage, p_ax, p_ay, p_gx, p_gy, r_o, desired, sensor, cell):
-    r"""$-\dot e$ while the UGV stands: $\int h'(C^* - C)\, S_a(p_a, q)\, \phi\, dq$.
+    r"""Return $-\dot e$ while the UGV stands: $\int h'(C^* - C)\, S_a(p_a, q)\, \phi\, dq$.
 
     Arguments as in `coverage_gradient`.
     """
@@ -178,7 +176,7 @@ def test_sensors_differ() -> None:
     assert len(qualities) == len(SENSORS)
 
 
-def test_a_look_of_the_hill_sees_a_third_of_its_cylinder() -> None:
+def test_hill_sensor_covers_a_third_of_its_cylinder() -> None:
     coverage = empty_coverage(12.0, 12.0, 0.05)
     accumulate(coverage, 6.0, 6.0, SensorParameters(reference.HILL, 1.5, R), 0.05, 2.0)
     assert coverage.sum() * 0.05**2 == pytest.approx(2.0 * 1.5 * math.pi * R**2 / 3.0, rel=1e-6)
@@ -266,7 +264,7 @@ def test_covered_ground_keeps_the_larger_value() -> None:
 
 @pytest.mark.parametrize("sensor", range(len(SENSORS)))
 @pytest.mark.parametrize("place", [(20.0, 20.0), (0.4, 39.7)])
-def test_the_gain_of_a_look_is_the_fall_of_the_error(sensor, place):
+def test_gain_of_a_sensing_step_is_the_decrease_of_the_error(sensor, place):
     ground = np.random.default_rng(3).uniform(0.0, 2.5, (160, 160))
     (p_x, p_y), (g_x, g_y), dt = place, (place[0] + 1.5, place[1] - 2.0), 0.05
     plain, seen, parameters = ground.copy(), ground.copy(), SensorParameters(sensor, 1.0, R)
@@ -281,7 +279,7 @@ def test_the_gain_of_a_look_is_the_fall_of_the_error(sensor, place):
     assert 0.95 * rate * dt <= gain < rate * dt
 
 
-def test_seen_ground_gives_no_gain() -> None:
+def test_covered_ground_gives_no_gain() -> None:
     ground = np.full((40, 40), DESIRED)
     rest = (R_O, DESIRED, SensorParameters(0, 1.0, R), 0.25, 0.05)
     assert accumulate_with_gain(ground, 5.0, 5.0, 5.0, 5.0, *rest) == 0.0

@@ -1,4 +1,4 @@
-"""The paper's figures and their claims: what holds, and that each could fail."""
+"""The paper's figures and their claims: the claims hold, and each could fail."""
 
 import itertools
 import math
@@ -50,16 +50,16 @@ def claims(flights):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory, flights):
-    """The pictures of these flights, their claims, and the progress that was told."""
+    """Return the pictures of these runs, their claims, and the reported progress."""
     out, steps = tmp_path_factory.mktemp("figures") / "a" / "b", []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(paper_figures, "fly_all", lambda tell: (tell("flown", 1.0), flights)[1])
+        patch.setattr(paper_figures, "fly_all", lambda report: (report("flown", 1.0), flights)[1])
         claims = make_figures(out, on_progress=lambda what, share: steps.append((what, share)))
     return out, claims, steps
 
 
 def found(claims, figure, words):
-    """The one claim of this figure that has these words."""
+    """Return the one claim of this figure that contains these words."""
     (claim,) = [claim for claim in claims if claim.figure == figure and words in claim.claim]
     return claim
 
@@ -69,7 +69,7 @@ def failing(claims):
 
 
 def brute_errors(flight, ticks):
-    """e(t) by the reference on the whole grid, from the recorded track alone, at the first `ticks` ticks."""
+    """Return e(t) at the first ticks by the reference on the whole grid, from the recorded track."""
     coverage = np.zeros((160, 160))
     x, y = reference.centres(coverage, CELL)
     for region in flight.scenario.coverage.covered:
@@ -189,7 +189,7 @@ low high logarithmic | 1a | coverage alone leaves the circle of radius r_v aroun
 low linear bounded | 1b | at a high k_v, the velocity error peaks only where u_si turns
 """),
 )
-def test_flights_in_the_place_of_others_break_figures_1_and_3(flights, flown, figure, claim):
+def test_swapped_flights_break_figures_1_and_3(flights, flown, figure, claim):
     claims = {"1": claims_1, "3": claims_3}[figure[0]]
     assert (figure, claim) in failing(claims(*(flights[name] for name in words(flown))))
 

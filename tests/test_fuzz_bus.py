@@ -1,4 +1,4 @@
-"""Garbage through a live bus: what decodes arrives, what does not is counted, and nothing else happens."""
+"""Invalid messages on a live bus: valid ones arrive, invalid ones are counted, and nothing else happens."""
 
 import gc
 import os
@@ -46,7 +46,7 @@ SIMULATOR, UGV = Party(role=Role.SIMULATOR, name="simulator"), Party(role=Role.U
 
 
 def refuses(key: Key, payload: bytes) -> bool:
-    """Return whether no reader may receive this."""
+    """Return whether no reader may receive this payload."""
     try:
         msgspec.json.decode(payload, type=key.message)
     except REFUSALS:
@@ -56,7 +56,7 @@ def refuses(key: Key, payload: bytes) -> bool:
 
 @cache
 def stream() -> tuple[tuple[str, bytes], ...]:
-    """The payloads of one client: mutations, wake-ups of its own making, and payloads of more and of exactly 64 KiB."""
+    """Return the payloads of one client: mutations, its own wake-ups, and payloads of 64 KiB and more."""
     rng = random.Random(12)
     sent = [(name, mutated(COMMANDS[name], rng)) for name in rng.choices(list(COMMANDS), k=STREAM)]
     good = msgspec.json.encode(UgvCommand(tick=1, acceleration=(0.0, 0.0)))
@@ -70,7 +70,7 @@ def stream() -> tuple[tuple[str, bytes], ...]:
 
 
 class Wire:
-    """A simulator's inbox of all commands, and a client that may put anything on their keys."""
+    """A simulator's inbox of all commands, and a client that may send anything on their keys."""
 
     def __init__(self, simulator: Session, client: Session) -> None:
         self.client = client
@@ -82,7 +82,7 @@ class Wire:
             self.inbox.receive(0.02)
 
     def carry(self, sent: tuple[tuple[str, bytes], ...]) -> list[tuple[str, object]]:
-        """Send all and then the sentinel, from another thread; return what the inbox gives before the sentinel."""
+        """Send all payloads and then the sentinel, from another thread; return the messages before the sentinel."""
         writer = threading.Thread(target=self._send, args=(sent,), daemon=True)
         writer.start()
         read: list[tuple[str, object]] = []
@@ -99,7 +99,7 @@ class Wire:
 
 
 def publisher(session: Session, expression: str) -> zenoh.Publisher:
-    """A writer that waits rather than lose one, of any key."""
+    """Return a publisher that blocks instead of dropping messages, for any key."""
     return zenoh_of(session).declare_publisher(
         expression, congestion_control=zenoh.CongestionControl.BLOCK
     )
@@ -107,7 +107,7 @@ def publisher(session: Session, expression: str) -> zenoh.Publisher:
 
 @pytest.fixture
 def wire(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Wire]:
-    """A busy machine may stop the reader for longer than a writer waits, or a link lives: here no message is lost."""
+    """Open a wire that loses no message, even if a busy machine stops the reader for long."""
     patience, lease = "queue/congestion_control/block/wait_before_close", "lease"
     for settings, name, value in (
         (joining._COMMON, patience, 20_000_000),  # [µs]
@@ -123,7 +123,7 @@ def wire(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Wire]:
 
 
 def test_inbox_delivers_valid_messages_and_counts_the_rest(wire: Wire) -> None:
-    # the router drops what is larger
+    # the router drops larger payloads
     sent = [(name, payload) for name, payload in stream() if 0 < len(payload) <= LARGEST]
     refused = [name for name, payload in sent if refuses(COMMANDS[name], payload)]
     taken = [
@@ -140,7 +140,7 @@ def test_inbox_delivers_valid_messages_and_counts_the_rest(wire: Wire) -> None:
 
 
 def resident() -> int:
-    """Memory of this process that is in use [bytes]."""
+    """Return the memory of this process in use [bytes]."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
@@ -159,7 +159,7 @@ def test_garbage_leaves_nothing_behind(wire: Wire) -> None:
 OTHERS = ((UAV_COMMAND, "uav_0"), (UAV_OBSERVATION, "uav_0"), (OPERATOR, "ugv_0"))
 FOREIGN: tuple[tuple[Key, str], ...] = (*OTHERS, (CONTROL, ""))
 UNREAD: tuple[tuple[Key, str], ...] = ((UGV_COMMAND, "nobody"), (TRUTH, ""), (STATUS, ""))
-"""Keys that nobody reads in this run."""
+"""Keys without a reader in this run."""
 
 
 def undecodable(key: Key, rng: random.Random) -> bytes:
@@ -169,7 +169,7 @@ def undecodable(key: Key, rng: random.Random) -> bytes:
 
 
 class Flood:
-    """All the garbage that one vehicle's session writes, on its own key and on others."""
+    """All the invalid messages of one vehicle's session, on its own key and on others."""
 
     def __init__(self, session: Session) -> None:
         own = ((UGV_COMMAND, "ugv_0"),) * GARBAGE_PER_TICK
@@ -185,12 +185,12 @@ class Flood:
 
 
 def steadily(command: Any) -> Callable[[Any, int], None]:
-    """Answers every observation at once."""
+    """Answer every observation at once."""
     return lambda commands, tick: commands.send(command(tick=tick, acceleration=(0.01, 0.0)))
 
 
 def test_flood_of_garbage_is_counted_and_changes_no_flight(tmp_path: Path) -> None:
-    """Two honest programs fly, and then one of them floods the bus."""
+    """Fly with two valid programs, one of which floods the bus."""
     (tmp_path / "flooded").mkdir()
     with stage(tmp_path, TICKS, is_open=True) as run:
         run.program("uav_0", steadily(UavCommand))
@@ -198,7 +198,7 @@ def test_flood_of_garbage_is_counted_and_changes_no_flight(tmp_path: Path) -> No
         undisturbed = run.fly()
     assert undisturbed.answers.missing == {"uav_0": 0, "ugv_0": 0}
     assert undisturbed.answers.first_missing is None
-    (stranger,) = run.events  # a UAV that no pilot of ours flies is told of, once
+    (stranger,) = run.events  # a UAV without one of our pilots is reported once
     assert "your own program" in stranger
     with stage(tmp_path / "flooded", TICKS, is_open=True) as run:
         uav = run.program("uav_0", steadily(UavCommand))
@@ -219,7 +219,7 @@ def test_flood_of_garbage_is_counted_and_changes_no_flight(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     "expression", ["**", "outrider/**", "*/run/ugv_0/*", "outrider/*/ugv_0/command"]
 )
-def test_what_is_put_on_a_pattern_is_nobodys_message(wire: Wire, expression: str) -> None:
+def test_message_on_a_wildcard_key_is_not_delivered(wire: Wire, expression: str) -> None:
     zenoh_of(wire.client).put(expression, b'{"tick":1,"acceleration":[0,0]}')
     assert wire.carry(()) == []
 

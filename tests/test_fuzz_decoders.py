@@ -1,7 +1,7 @@
-"""Every decoder on garbage: it gives a message within its bounds, or one of three errors.
+"""Every decoder on invalid payloads: it returns a message within its bounds, or raises one of three errors.
 
-The payloads are hypothesis' and mutations of real messages; the mutations come from fixed seeds, so every run sees
-the same.
+The payloads come from hypothesis and from mutations of real messages; the seeds of the mutations are fixed, so every
+run checks the same payloads.
 """
 
 import json
@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from msgspec import inspect as kinds
 
 from bus.keys import KEYS, Key
-from mutations import REFUSALS, allowed, mutated, real_messages, says
+from mutations import REFUSALS, allowed, matches, mutated, real_messages
 from properties import PROPERTY
 
 EVERY_ROW = pytest.mark.parametrize("key", KEYS, ids=lambda key: key.message.__name__)
@@ -27,7 +27,7 @@ EXAMPLES_PER_ROW = 100
 
 @dataclass
 class Tally:
-    """A row's decoder, and what it has said so far."""
+    """The decoder of a key, and the counts of its results."""
 
     key: Key
     accepted: int = 0
@@ -39,9 +39,9 @@ class Tally:
         self._kind = kinds.type_info(self.key.message)
 
     def offer(self, payload: bytes) -> None:
-        """Decode as an inbox does.
+        """Decode like an inbox.
 
-        What comes out must be what was said, within its bounds, and be said again as it was.
+        The message must equal the payload, be within its bounds, and survive encoding.
         """
         self.seen.add(hash(payload))
         try:
@@ -51,7 +51,7 @@ class Tally:
             return
         self.accepted += 1
         assert allowed(message, self._kind), payload
-        assert says(message, json.loads(payload)), payload
+        assert matches(message, json.loads(payload)), payload
         assert self._decoder.decode(msgspec.json.encode(message)) == message, payload
 
 
@@ -84,12 +84,12 @@ VALUES = st.recursive(
 
 
 def as_json(value: Any) -> bytes:
-    """JSON as Python writes it, NaN and infinity included."""
+    """Return JSON as written by Python, including NaN and infinity."""
     return json.dumps(value).encode()
 
 
 def garbage(key: Key) -> st.SearchStrategy[bytes]:
-    """Bytes, text, JSON, and objects with the message's own field names and any values."""
+    """Draw bytes, text, JSON, and objects with the field names of the message and any values."""
     names = [part.encode_name for part in kinds.type_info(key.message).fields]
     own = st.fixed_dictionaries({}, optional=dict.fromkeys(names, VALUES)) | st.fixed_dictionaries(
         dict.fromkeys(names, SCALARS)

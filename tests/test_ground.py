@@ -1,4 +1,4 @@
-"""The ground: distances to hazards, what touches what, and the map of tiles, against geometry by brute force."""
+"""The ground: distances to hazards, contacts, and the map of tiles, against brute-force geometry."""
 
 import itertools
 import math
@@ -48,7 +48,7 @@ def discs(draw, kinds=kinds) -> Hazard:
 
 @st.composite
 def stars(draw, kinds=kinds) -> Hazard:
-    """A polygon that does not cross itself: seen from a point in it, its corners go round; mostly not convex."""
+    """Draw a simple polygon, mostly not convex: its corners surround one of its points."""
     x, y = draw(points)
     radii = draw(st.lists(st.floats(0.05, 2.5), min_size=3, max_size=9))
     turn, way = draw(st.floats(0.0, 6.28)), draw(st.sampled_from((1, -1)))
@@ -74,7 +74,7 @@ def filled(hazards, tile: float = TILE) -> np.ndarray:
 
 
 def contains(hazard: Hazard, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """True where points lie in it, by other means."""
+    """Return True where points lie in the hazard, by another method."""
     if hazard.center is not None:
         return np.hypot(x - hazard.center[0], y - hazard.center[1]) <= hazard.radius
     return Path([*hazard.polygon, hazard.polygon[0]]).contains_points(np.stack([x, y], axis=-1))
@@ -93,7 +93,7 @@ def test_hazard_distance_is_that_to_its_nearest_edge_point(hazard, point):
         edge = np.concatenate([a + shares * (b - a) for a, b in itertools.pairwise(corners)])
     near = float(np.hypot(*(edge - point).T).min())
     if near < 1e-6:
-        return  # on the edge nobody can tell by samples
+        return  # samples cannot decide on the edge
     if contains(hazard, *np.array(point)[:, None])[0]:
         assert found == 0.0
         assert point_in_hazard(*tables((hazard,)), 0, *point)
@@ -223,7 +223,7 @@ def test_last_tiles_include_the_far_edge_of_the_area() -> None:
     assert state_at(tiles, 1.0, 2.0, 1.0) == 6
 
 
-# What is refused
+# Refusals
 
 
 def faults(*hazards) -> list[str]:

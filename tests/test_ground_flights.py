@@ -1,4 +1,4 @@
-"""Flights over ground with hazards: one trajectory wherever it is flown, and what the escort is worth."""
+"""Runs over ground with hazards: one trajectory in every environment, and the value of the escort."""
 
 import msgspec
 import numpy as np
@@ -18,7 +18,7 @@ RADIO = msgspec.structs.replace(LOSSY, delay=0.2)
 
 @pytest.mark.parametrize("name", ["minefield", "rubble", "rescue"])
 def test_a_flight_over_hazards_has_one_trajectory(name: str) -> None:
-    """In a run, in the environment, and in a batch of worlds that have other hazards each; without estimator."""
+    """In a run, in the environment, and in a batch whose other worlds have other hazards; without estimator."""
     scenario = msgspec.structs.replace(
         raw(load_scenario(name)), duration=30.0, links=LinkTable(radio=RADIO)
     )
@@ -41,7 +41,7 @@ def test_hazards_fly_one_trajectory_over_three_processes() -> None:
 
 @pytest.mark.parametrize("profile", ["wifi", "wifi-poor", "jammed"])
 def test_a_cautious_ugv_enters_no_unknown_tile_over_bad_links(profile: str) -> None:
-    """Its commands carry the stop that follows them."""
+    """Its commands carry the following stop."""
     scenario = load_scenario("minefield", overrides=[f"links.profile={profile}"])
     for seed in range(3):
         summary = fly(scenario, seed)[1]
@@ -69,6 +69,6 @@ def test_entering_unknown_tiles_is_counted() -> None:
 def test_assumptions_of_the_cautious_driver_are_judged(change: str, reason: str) -> None:
     base = ["ground.miss=0.0", "ground.false_alarm=0.0"]
     lines = assumption_warnings(load_scenario("minefield", overrides=[*base, change]))
-    told = [line for line in lines if "not certified to stay on known tiles" in line]
-    assert len(told) == bool(reason)
-    assert not reason or reason in told[0]
+    lines_of_warning = [line for line in lines if "not certified to stay on known tiles" in line]
+    assert len(lines_of_warning) == bool(reason)
+    assert not reason or reason in lines_of_warning[0]

@@ -1,4 +1,4 @@
-"""The certificates of cautious UGVs, to stay on tiles that they know, held against the truth."""
+"""The certificates of cautious UGVs, to stay on known tiles, against the truth."""
 
 import msgspec
 import numpy as np
@@ -16,15 +16,15 @@ from sim.models.hazards import BLOCK
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.world import World
-from test_seen_ground import on
+from test_seen_ground import scenario_with
 
 CERTIFIED = UgvReport(certified=True)
 NOT = UgvReport(certified=False, uncertified=next(iter(UNCERTIFIED.values())))
 
 
 def on_unseen_ground(driver: str = "waypoints") -> Scenario:
-    """A UGV in the middle of ground on which nobody tells it of any tile."""
-    scenario = on(Hazard(kind="block", center=(2.0, 2.0), radius=0.5), sensing_range=0.0)
+    """Return a UGV in the middle of ground without any map updates."""
+    scenario = scenario_with(Hazard(kind="block", center=(2.0, 2.0), radius=0.5), sensing_range=0.0)
     (ugv,) = scenario.ugv
     return msgspec.structs.replace(
         scenario, ugv=(msgspec.structs.replace(ugv, driver=driver, caution="cautious"),)
@@ -43,20 +43,20 @@ def test_certified_tick_on_unknown_ground_breaks_the_guarantee() -> None:
         world.send(1, world.tick, (0.1, 0.0))
         world.record_claim(1, CERTIFIED)
         world.advance()
-    told = mission(world).guarantees["ugv_0"]
-    assert told.ticks == told.certified == 100
-    assert told.entered_unknown_tile > 0
-    assert told.certificate_broken == told.entered_unknown_tile
-    assert mission(world).ground_certificate_broken == told.certificate_broken
+    guarantee = mission(world).guarantees["ugv_0"]
+    assert guarantee.ticks == guarantee.certified == 100
+    assert guarantee.entered_unknown_tile > 0
+    assert guarantee.certificate_broken == guarantee.entered_unknown_tile
+    assert mission(world).ground_certificate_broken == guarantee.certificate_broken
 
 
 def test_false_ground_report_excuses_a_broken_certificate() -> None:
     world = World(on_unseen_ground(), 1)
     for report in (CERTIFIED, NOT, NOT, None, CERTIFIED, NOT, CERTIFIED, None):
         world.record_claim(1, report)
-    told = mission(world).guarantees["ugv_0"]
-    assert told.certificate_broken == 2  # it may cease to claim: then another driver drives
-    assert (told.certified, told.uncertified) == (3, {NOT.uncertified: 3})
+    guarantee = mission(world).guarantees["ugv_0"]
+    assert guarantee.certificate_broken == 2  # a claim may end when another driver takes over
+    assert (guarantee.certified, guarantee.uncertified) == (3, {NOT.uncertified: 3})
     world.ground.missions["untrue"] = 1
     for report in (CERTIFIED, NOT):
         world.record_claim(1, report)
@@ -64,7 +64,7 @@ def test_false_ground_report_excuses_a_broken_certificate() -> None:
 
 
 @pytest.mark.parametrize(
-    ("before", "told", "true", "untrue"),
+    ("before", "reported", "true", "untrue"),
     [
         (UNSEEN, CLEAR, CLEAR, 0),
         (UNSEEN, CLEAR, BLOCK, 1),
@@ -73,15 +73,15 @@ def test_false_ground_report_excuses_a_broken_certificate() -> None:
         (BLOCK, CLEAR, CLEAR, 0),
     ],
 )
-def test_false_words_on_drivable_ground_excuse(
-    before: int, told: int, true: int, untrue: int
+def test_false_reports_on_drivable_ground_excuse(
+    before: int, reported: int, true: int, untrue: int
 ) -> None:
     """A false alarm alone does not: it closes ground and opens none."""
     world = World(on_unseen_ground(), 1)
     ground = world.ground
     ground.tiles[0, 0, 0] = true
     ground.radioed[0, 0, 0, 0] = before
-    states = np.full((1, 1), told, np.uint8)
+    states = np.full((1, 1), reported, np.uint8)
     world.receive_block(1, MapUpdate(row=0, column=0, tiles=block_letters(states, 0, 0)))
     assert ground.missions["untrue"].tolist() == [[untrue]]
 
@@ -98,8 +98,8 @@ def test_runs_environments_and_batches_count_alike(change: str) -> None:
     loop = ClosedLoop(scenario, 1, threads=1)
     loop.begin([3])
     loop.fly()
-    told = summary.mission.guarantees["ugv_0"]
-    assert told.ticks == 500
-    assert told.certified > 400
+    guarantee = summary.mission.guarantees["ugv_0"]
+    assert guarantee.ticks == 500
+    assert guarantee.certified > 400
     assert mission(env.unwrapped.world).guarantees == summary.mission.guarantees
     assert loop.mission(0).guarantees == summary.mission.guarantees

@@ -1,4 +1,4 @@
-"""The mission measured and shown: what observers are told of ground with hazards, and every picture of it."""
+"""Mission results and views: the observers' map of ground with hazards, and every picture of it."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -68,29 +68,29 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight, Summa
     return path, flight, summarize(flight, seconds=1.0)
 
 
-def test_observers_alone_are_told_of_the_ground_with_its_hazards() -> None:
+def test_only_observers_receive_the_ground_with_hazards() -> None:
     assert set(GROUND.readers) == {Role.OBSERVER, Role.OPERATOR}
 
 
 class Routed(InProcess):
-    """The pilots, with what they are told as text, and the UGV's routes, which may be forged."""
+    """Pilots whose observations are recorded as text, with the UGV's routes, which may be forged."""
 
     def __init__(self, scenario: Scenario, forged: tuple[Any, ...] | None = None) -> None:
         super().__init__(make_pilots(scenario, 1))
-        self.told: list[bytes] = []
+        self.observed_bytes: list[bytes] = []
         self.routes: list[Any] = []
         self._forged = forged
 
     def publish(self, observations: Any) -> None:
-        self.told.append(msgspec.json.encode(dict(observations)))
+        self.observed_bytes.append(msgspec.json.encode(dict(observations)))
         super().publish(observations)
 
     def collect(self, tick: int) -> Any:
-        said = super().collect(tick)
-        self.routes.append(said["ugv_0"].route)
+        commands = super().collect(tick)
+        self.routes.append(commands["ugv_0"].route)
         if self._forged is not None:
-            said["ugv_0"] = msgspec.structs.replace(said["ugv_0"], route=self._forged)
-        return said
+            commands["ugv_0"] = msgspec.structs.replace(commands["ugv_0"], route=self._forged)
+        return commands
 
 
 @pytest.fixture(scope="module")
@@ -101,30 +101,30 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight, Rou
     return path, recorded(path, scenario, 1, exchange=routed), routed
 
 
-def test_no_vehicle_is_told_of_the_route_that_a_ugv_plans(planned) -> None:
+def test_no_vehicle_receives_the_planned_route_of_a_ugv(planned) -> None:
     _, flight, routed = planned
     forged = Routed(flight.scenario, forged=((1.25, 1.25), (3.25, 9.75)))
     flight = Flight(flight.scenario, 1)
     flight.fly(forged)
     assert flight.routes == {"ugv_0": ((1.25, 1.25), (3.25, 9.75))}
-    assert forged.told == routed.told
-    assert b"route" not in b"".join(routed.told)
+    assert forged.observed_bytes == routed.observed_bytes
+    assert b"route" not in b"".join(routed.observed_bytes)
 
 
 def test_ugv_reports_a_changed_route_to_observers(planned) -> None:
     _, flight, routed = planned
-    told = [(tick, one) for tick, one in enumerate(routed.routes) if one is not None]
-    assert 2 <= len(told) < 0.5 * len(routed.routes)
-    for (_, before), (_, now) in pairwise(told):
+    changes = [(tick, one) for tick, one in enumerate(routed.routes) if one is not None]
+    assert 2 <= len(changes) < 0.5 * len(routed.routes)
+    for (_, before), (_, now) in pairwise(changes):
         assert now[1:] != before[len(before) - len(now) + 1 :]
-    for _, route in told:
+    for _, route in changes:
         assert route[-1] == (12.0, 6.0)
         steps = np.abs(np.diff(np.array(route[1:-1]).reshape(-1, 2), axis=0))
         assert ((steps[:, 0] == steps[:, 1]) | (steps == 0.0).any(axis=1)).all()
     last = ground_map(flight.world, routes=flight.routes)
     route, x = last.routes["ugv_0"], float(flight.world.position[1, 0])
     assert route[0] == tuple(flight.world.position[1].tolist())
-    assert all(corner[0] > x for corner in route[1:])  # what has been driven of it is left out
+    assert all(corner[0] > x for corner in route[1:])  # without the part that was driven
     assert route[1:] == flight.routes["ugv_0"][-len(route) + 1 :]
     old = {"ugv_0": ((7.0, 6.0), (7.5, 6.5), (7.8, 6.0), (12.0, 6.0))}
     behind = ground_map(flight.world, routes=old)
@@ -142,8 +142,8 @@ def test_every_view_draws_the_route(planned, tmp_path: Path) -> None:
     recording, shown = flight_of(path), []
     *_, status = statuses(recording.path, flight=0)
     status = msgspec.structs.replace(status, geometry=geometry_of(flight.scenario))
-    for told in (ground, msgspec.structs.replace(ground, routes={})):
-        view = DriveView(status=status, truth=flight.truth(), ground=told)
+    for displayed in (ground, msgspec.structs.replace(ground, routes={})):
+        view = DriveView(status=status, truth=flight.truth(), ground=displayed)
         canvas = draw(view, "ugv_0", Trails(), width=90, height=40, wide=True)
         cells = [one for row in range(40) for one in canvas.row(row)]
         shown.append(sum(len(one.text) for one in cells if one.style.color == ORANGE))
@@ -187,7 +187,7 @@ def test_summary_states_the_mission_in_plain_words(flown, capsys) -> None:
         assert words in table
 
 
-def test_without_hazards_nobody_is_told_of_a_mission(tmp_path: Path, capsys: Any) -> None:
+def test_mission_is_not_reported_without_hazards(tmp_path: Path, capsys: Any) -> None:
     flight = recorded(tmp_path / "run.mcap", small("tracking", duration=1.0), 1)
     summary = summarize(flight, seconds=1.0)
     assert summary.mission is None
@@ -199,10 +199,10 @@ def test_without_hazards_nobody_is_told_of_a_mission(tmp_path: Path, capsys: Any
 
 def test_recording_stores_hazards_once_and_draws_the_same(flown, tmp_path) -> None:
     path, flight, _ = flown
-    told = [msgspec.json.decode(e.data, type=GroundMap) for e in entries(path, (TOPIC.name,))]
-    assert len(told[0].hazards) == len(HAZARDOUS)
-    assert len(told) > 30
-    assert not any(one.hazards for one in told[1:])
+    maps = [msgspec.json.decode(e.data, type=GroundMap) for e in entries(path, (TOPIC.name,))]
+    assert len(maps[0].hazards) == len(HAZARDOUS)
+    assert len(maps) > 30
+    assert not any(one.hazards for one in maps[1:])
     draw_flight(flight, tmp_path / "flight.png")
     render(flight_of(path), tmp_path / "again.png")
     assert (tmp_path / "flight.png").read_bytes() == (tmp_path / "again.png").read_bytes()
@@ -223,7 +223,7 @@ def test_film_shows_unknown_known_and_hit_hazards(flown) -> None:
     assert count(last, LIMIT) > count(first, LIMIT) + 200
 
 
-def test_the_terminal_marks_what_was_hit_and_what_was_found(flown) -> None:
+def test_terminal_marks_hit_and_found_hazards(flown) -> None:
     _, flight, _ = flown
     recording = flight_of(flown[0])
     *_, status = statuses(recording.path, flight=0)

@@ -1,4 +1,4 @@
-"""The safety filter: what it is by its parts, and what it does about detections and commands that go astray."""
+"""The safety filter: its parts, and its reaction to lost detections and commands."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ from bus.messages.decision import NotCertified, Source
 from bus.messages.links import LinkSettings
 from bus.messages.scenario import Area, SafetyParameters
 from bus.messages.vehicle import MOST_CARRIED, UavBriefing
-from flights import DT, PROMISED, U_A, certified, escort, told, uav_sees
+from flights import DECLARED_BOUNDS, DT, U_A, briefing_of, certified, escort, uav_sees
 from sim.engine.batch import arrays_of
 from sim.models.vehicles import Motion
 from sim.scenario.types import Certificate, LinkTable, Uav
@@ -27,9 +27,9 @@ from sim.world import World
 
 
 def declared(delay: float = 0.0, error: float | None = 0.3) -> UavBriefing:
-    """The briefing of the paper's UAV, with this delay of its commands [s] and this error of its detections [m]."""
+    """Return the briefing of the paper's UAV, with this command delay [s] and this detection error [m]."""
     return msgspec.structs.replace(
-        told(escort("certified")),
+        briefing_of(escort("certified")),
         safety=SafetyParameters(
             max_measurement_error=error, max_measurement_age=1.0, max_command_delay=delay
         ),
@@ -37,24 +37,24 @@ def declared(delay: float = 0.0, error: float | None = 0.3) -> UavBriefing:
 
 
 def observed(tick, *found, time=None):
-    """An observation from (20 + tick / 100, 20) at rest, with detections: when [s], and p_a - p_g [m]."""
+    """Return an observation from (20 + tick / 100, 20) at rest, with detections as time [s] and p_a - p_g [m]."""
     other = {} if time is None else {"time": time}
-    looks = ((t, (x, y)) for t, x, y in found)
-    return uav_sees(tick, *looks, position=(20.0 + 0.01 * tick, 20.0), **other)
+    detections = ((t, (x, y)) for t, x, y in found)
+    return uav_sees(tick, *detections, position=(20.0 + 0.01 * tick, 20.0), **other)
 
 
 def at(x: float, y: float) -> Motion:
-    """A UAV at rest."""
+    """Return a UAV at rest."""
     return Motion(x, y, 0.0, 0.0)
 
 
-def kept_by(memory: FilterMemory) -> list[tuple[float, float, int]]:
-    """The detections that a filter has kept: where [m], and in which tick."""
+def kept_detections(memory: FilterMemory) -> list[tuple[float, float, int]]:
+    """Return the detections that a filter has kept: position [m] and tick."""
     return memory.discs[memory.discs["tick"] >= 0][["x", "y", "tick"]].tolist()
 
 
 @pytest.mark.parametrize("delay", [0.0, 3 * DT])
-def test_a_memory_that_begins_again_is_as_fresh_as_a_new_one(delay: float) -> None:
+def test_reset_memory_equals_a_new_one(delay: float) -> None:
     bounds = bounds_of(declared(delay))
     fresh, used = filter_memory(bounds.delay_ticks, 8), filter_memory(bounds.delay_ticks, 8)
     decide(bounds, used, 0, Motion(20.0, 20.0, 0.1, 0.0), 0.1, 0.0)
@@ -70,17 +70,17 @@ def test_a_memory_that_begins_again_is_as_fresh_as_a_new_one(delay: float) -> No
 
 
 @pytest.mark.parametrize("taken", [-1, -8, 0, 3, 4, 10, 12, 19])
-def test_a_detection_of_a_tick_that_was_not_noted_is_ignored(taken: int) -> None:
-    """Before the start, missed, later than now, or so long ago that another tick has its place in the track of 8."""
+def test_detection_of_an_unrecorded_tick_is_ignored(taken: int) -> None:
+    """Before the start, missing, later than now, or so long ago that a newer tick has replaced it in the track of 8."""
     bounds = bounds_of(declared())
     state = filter_memory(bounds.delay_ticks, 8)
-    for tick in (0, 1, 2, 3, 5, 6, 7, 8, 11):  # 8 and 11 take the places of 0 and 3
+    for tick in (0, 1, 2, 3, 5, 6, 7, 8, 11):  # 8 and 11 replace 0 and 3
         add_position(state, tick, 20.0 + tick, 20.0)
     before = [part.tobytes() for part in arrays_of(state)]
     add_measurement(bounds, state, taken, (0.5, 0.0), 11, at(31.0, 20.0))
     assert [part.tobytes() for part in arrays_of(state)] == before
     add_measurement(bounds, state, 7, (0.5, 0.0), 11, at(31.0, 20.0))
-    assert kept_by(state) == [(26.5, 20.0, 7)]
+    assert kept_detections(state) == [(26.5, 20.0, 7)]
 
 
 def test_absent_process_ignores_detections_taken_meanwhile() -> None:
@@ -88,7 +88,7 @@ def test_absent_process_ignores_detections_taken_meanwhile() -> None:
     for tick in (0, 1, 2, 7, 8):
         watch.see(observed(tick))
     watch.see(observed(9, *((tick * DT, 0.0, 1.0) for tick in (3, 4, 5, 6))))
-    assert kept_by(watch.memory) == []
+    assert kept_detections(watch.memory) == []
     watch.see(observed(10, (2 * DT, 0.0, 1.0)))
     assert watch.memory.discs["tick"].max() == 2
 
@@ -98,9 +98,9 @@ def test_a_detection_of_no_tick_or_of_the_future_is_not_used() -> None:
     for tick in range(6):
         watch.see(observed(tick))
     watch.see(observed(6, (3.4 * DT, 0.0, 1.0), (1e12, 0.0, 1.0), (7 * DT, 0.0, 1.0)))
-    assert kept_by(watch.memory) == []
+    assert kept_detections(watch.memory) == []
     watch.see(observed(7, (sum([DT] * 3), 0.0, 1.0)))  # a sum of ticks, 0.15000000000000002 s
-    assert kept_by(watch.memory) == [(20.03, 19.0, 3)]
+    assert kept_detections(watch.memory) == [(20.03, 19.0, 3)]
 
 
 def test_where_the_ugv_was_detected_is_clipped_into_the_area() -> None:
@@ -108,7 +108,7 @@ def test_where_the_ugv_was_detected_is_clipped_into_the_area() -> None:
     state = filter_memory(bounds.delay_ticks, 8)
     add_position(state, 0, 0.2, bounds.height - 0.1)
     add_measurement(bounds, state, 0, (0.3, -0.3), 0, at(0.2, bounds.height - 0.1))
-    assert kept_by(state) == [(0.0, bounds.height, 0)]
+    assert kept_detections(state) == [(0.0, bounds.height, 0)]
 
 
 def test_contradiction_is_remembered_until_the_filter_restarts() -> None:
@@ -125,51 +125,60 @@ def test_contradiction_is_remembered_until_the_filter_restarts() -> None:
 
 
 def test_where_there_are_no_walls_a_detection_stays_where_it_is() -> None:
-    bounds = certified(**PROMISED, eps=0.3, age=1.0)
+    bounds = certified(**DECLARED_BOUNDS, eps=0.3, age=1.0)
     state = filter_memory(bounds.delay_ticks, 8)
     add_position(state, 0, -7.0, 3.0)
     add_measurement(bounds, state, 0, (1.0, 5.0), 0, at(-7.0, 3.0))
-    assert kept_by(state) == [(-8.0, -2.0, 0)]
+    assert kept_detections(state) == [(-8.0, -2.0, 0)]
 
 
 class Vehicle:
-    """A UAV and its UGV in the simulator, and the filter that flies the UAV.
+    """A UAV and its UGV in the simulator, and the safety filter that flies the UAV.
 
     Args:
-        delay: Of its commands, as it is declared [s]; they arrive at once and wait.
-        outage: Longest time between two motions [s]; a tick by default.
-        bare: Whether its receiver knows accelerations only.
+        delay: Declared delay of its commands [s]; they arrive at once and wait.
+        interval: Longest time between two trajectories [s]; a tick by default.
+        bare: True if its receiver supports accelerations only.
     """
 
     def __init__(
-        self, delay: float = 0.0, outage: float | None = None, *, bare: bool = False, **fields: Any
+        self,
+        delay: float = 0.0,
+        interval: float | None = None,
+        *,
+        bare: bool = False,
+        **fields: Any,
     ) -> None:
         scenario = escort(
             "certified",
             certificate=Certificate(
-                max_command_delay=delay, max_command_interval=outage, max_measurement_error=0.0
+                max_command_delay=delay, max_command_interval=interval, max_measurement_error=0.0
             ),
             **fields,
         )
-        self.world, self.filter, self._bare = World(scenario, 1), SafetyFilter(told(scenario)), bare
+        self.world, self.filter, self._bare = (
+            World(scenario, 1),
+            SafetyFilter(briefing_of(scenario)),
+            bare,
+        )
 
     @property
     def motion(self) -> tuple[float, float, float, float]:
-        """Position [m] and velocity [m/s]."""
+        """Return position [m] and velocity [m/s]."""
         row = self.world.vehicles[0]
         return (*row["position"].tolist(), *row["velocity"].tolist())
 
     def fly(
         self, wanted: tuple[float, float], *, lose: bool = False, late: int = 0
     ) -> NotCertified | None:
-        """Fly one tick and return why it is not certified; its command is lost, or sets out `late` [ticks]."""
+        """Fly one tick and return why it is not certified; its command may be lost."""
         world, tick = self.world, self.world.tick
         p_x, p_y, v_x, v_y = self.motion
         g_x, g_y = world.position[1].tolist()
         flown = None if self._bare else world.flown(0)
-        look = (tick * DT, (p_x - g_x, p_y - g_y))
+        detection = (tick * DT, (p_x - g_x, p_y - g_y))
         seen = uav_sees(
-            tick, look, position=(p_x, p_y), velocity=(v_x, v_y), committed_trajectory=flown
+            tick, detection, position=(p_x, p_y), velocity=(v_x, v_y), committed_trajectory=flown
         )
         self.filter.see(seen)
         decision = self.filter.filter(seen, wanted)
@@ -188,53 +197,53 @@ def test_lost_command_pauses_the_certificate_until_a_motion(delay) -> None:
     uav, d = Vehicle(delay), round(delay / DT)
     for _ in range(20):
         assert uav.fly(OUT) is None
-    lost = range(3, 3 + (MOST_CARRIED if d else 1))  # all that carry the first of them
-    said = [uav.fly(BACK if k % 2 else OUT, lose=k in lost) for k in range(3 * d + 10)]
-    told = 3 + d + 1  # the tick after the one in which its motion should have begun
-    assert said[:told] == [None] * told
-    assert said[told : told + d + 1] == [NotCertified.COMMAND_INTERVAL] * (d + 1)
-    assert set(said[told + d + 1 :]) == {None}
+    lost = range(3, 3 + (MOST_CARRIED if d else 1))  # all commands that carry the first of them
+    reasons = [uav.fly(BACK if k % 2 else OUT, lose=k in lost) for k in range(3 * d + 10)]
+    ends = 3 + d + 1  # the tick after the one in which its trajectory should have started
+    assert reasons[:ends] == [None] * ends
+    assert reasons[ends : ends + d + 1] == [NotCertified.COMMAND_INTERVAL] * (d + 1)
+    assert set(reasons[ends + d + 1 :]) == {None}
 
 
 def test_command_losses_within_the_declared_interval_keep_it() -> None:
-    uav = Vehicle(0.5, outage=1.5)
+    uav = Vehicle(0.5, interval=1.5)
     assert {uav.fly(OUT, lose=tick % 25 > 20) for tick in range(200)} == {None}
 
 
-def test_commands_that_may_not_have_been_sent_are_not_relied_on() -> None:
+def test_possibly_unsent_commands_are_not_relied_on() -> None:
     uav = Vehicle(0.3)
     for _ in range(10):
         assert uav.fly(OUT) is None
     uav.filter.invalidate_plans()
-    said = [uav.fly(OUT) for _ in range(9)]
-    assert said == [NotCertified.UNCHECKED_PLAN] * 7 + [None] * 2
+    reasons = [uav.fly(OUT) for _ in range(9)]
+    assert reasons == [NotCertified.UNCHECKED_PLAN] * 7 + [None] * 2
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.5])
 def test_moving_uav_is_certified_from_its_first_motion_on(delay: float) -> None:
     uav, d = Vehicle(delay, uav=Uav(position=(20.0, 20.0), velocity=(0.3, 0.0))), round(delay / DT)
-    said = [uav.fly(OUT) for _ in range(d + 10)]
-    assert None not in said[:d]
-    assert set(said[d + 1 :]) == {None}
+    reasons = [uav.fly(OUT) for _ in range(d + 10)]
+    assert None not in reasons[:d]
+    assert set(reasons[d + 1 :]) == {None}
 
 
 def test_bare_accelerations_are_certified_without_command_delay() -> None:
     uav = Vehicle(bare=True)
-    said = [uav.fly(OUT if tick % 2 else BACK, lose=tick == 25) for tick in range(60)]
-    assert said[26] is not None
-    assert set(said[:26] + said[28:]) == {None}
+    reasons = [uav.fly(OUT if tick % 2 else BACK, lose=tick == 25) for tick in range(60)]
+    assert reasons[26] is not None
+    assert set(reasons[:26] + reasons[28:]) == {None}
 
 
-@pytest.mark.parametrize(("delay", "outage"), [(0.1, None), (0.0, 1.0)])
-def test_bare_accelerations_with_command_delay_are_not_certified(delay, outage) -> None:
-    """Not longer than its rest at the start is a plan."""
-    uav = Vehicle(delay, outage, bare=True, links=LinkTable(commands=LinkSettings(delay=delay)))
-    said = [uav.fly(OUT) for _ in range(60)]
-    assert None not in said[3:]
+@pytest.mark.parametrize(("delay", "interval"), [(0.1, None), (0.0, 1.0)])
+def test_bare_accelerations_with_command_delay_are_not_certified(delay, interval) -> None:
+    """Only the initial rest is certified."""
+    uav = Vehicle(delay, interval, bare=True, links=LinkTable(commands=LinkSettings(delay=delay)))
+    reasons = [uav.fly(OUT) for _ in range(60)]
+    assert None not in reasons[3:]
 
 
-def test_a_course_knows_the_walls() -> None:
-    """The vehicle stops at a wall; a filter that did not know would find it off its course."""
+def test_predicted_trajectory_stops_at_the_walls() -> None:
+    """The vehicle stops at a wall, where a filter without walls would find it off its prediction."""
     uav = Vehicle(0.5, area=Area(width=21.0, height=21.0, cell=0.5))
     assert {uav.fly((U_A, 0.1)) for _ in range(300)} == {None}
     assert uav.motion[0] == 21.0

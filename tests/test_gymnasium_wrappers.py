@@ -1,4 +1,4 @@
-"""Gymnasium's wrappers take the environment of one vehicle, whose observations are all bounded."""
+"""Gymnasium's wrappers around the environment of one vehicle, whose observations are bounded."""
 
 import math
 from typing import Any
@@ -28,13 +28,13 @@ from sim.scenario.types import Detections, Scenario, Ugv
 from worlds import FREE, ONE
 
 NOISY = msgspec.structs.replace(ONE, detections=Detections(noise=30.0, truncation=math.inf))
-"""Detections whose noise is as large as the area and has no bound."""
+"""Detections with unbounded noise as large as the area."""
 FAST = msgspec.structs.replace(
     FREE,
     detections=Detections(noise=30.0, truncation=math.inf),
     ugv=(Ugv(position=(10.0, 10.0), max_speed=2000.0, max_acceleration=1e6),),
 )
-"""The UAV has no limit, and the UGV crosses the area in less than a tick."""
+"""The UAV has no limits, and the UGV crosses the area in less than a tick."""
 SETTINGS: dict[str, tuple[str | Scenario, dict[str, Any]]] = {
     "row": ("escort", {}),
     "ugv": ("escort", {"agent": "ugv_0"}),
@@ -45,13 +45,13 @@ SETTINGS: dict[str, tuple[str | Scenario, dict[str, Any]]] = {
 
 
 def single(name: str, **more: Any) -> gymnasium.Env[Any, Any]:
-    """One vehicle that learns."""
+    """Return an environment with one learning vehicle."""
     scenario, settings = SETTINGS[name]
     return outrider.single_env(scenario, duration=2.0, end_on_sight_lost=False, **settings, **more)
 
 
 def flown(env: Any, seed: int = 1, push: float = 0.2) -> list[Any]:
-    """The observations of an episode, all inside the space."""
+    """Return the observations of an episode, and check that all are inside the space."""
     seen, _ = env.reset(seed=seed)
     kept, over = [seen], False
     while not over:
@@ -63,7 +63,7 @@ def flown(env: Any, seed: int = 1, push: float = 0.2) -> list[Any]:
 
 
 def boxes(space: spaces.Space[Any]) -> list[spaces.Box]:
-    """All boxes of a space."""
+    """Return all boxes of a space."""
     return [*space.spaces.values()] if isinstance(space, spaces.Dict) else [space]  # type: ignore[list-item]
 
 
@@ -124,8 +124,8 @@ def test_a_ugvs_policy_over_the_bus_has_the_same_bounds() -> None:
     position, velocity = (
         tuple(one[1].tolist()) for one in (env.world.position, env.world.velocity)
     )
-    told = UgvObservation(tick=1, time=0.05, position=position, velocity=velocity)
-    np.testing.assert_array_equal(own.row(told), rows["ugv_0"])
+    observation = UgvObservation(tick=1, time=0.05, position=position, velocity=velocity)
+    np.testing.assert_array_equal(own.row(observation), rows["ugv_0"])
 
 
 # -- Gymnasium's wrappers

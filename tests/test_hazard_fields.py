@@ -1,4 +1,4 @@
-"""Hazards at random places: where they are allowed, as many as fit, and never in the last way."""
+"""Random hazards: allowed positions, as many as fit, and never across the last open route."""
 
 import itertools
 
@@ -30,7 +30,7 @@ def tile_of(point) -> tuple[int, int]:
     return tile_index(point[1], TILE, SHAPE[0]), tile_index(point[0], TILE, SHAPE[1])
 
 
-def ways_of(*routes) -> np.ndarray:
+def route_tiles(*routes) -> np.ndarray:
     tiles = [(tile_of(start), tile_of(goal)) for start, *goals in routes for goal in goals]
     return np.array([(*a, *b, 1 << n) for n, (a, b) in enumerate(tiles)], dtype=np.int64)
 
@@ -40,20 +40,20 @@ def field(kind: int, count: int, radius=(0.2, 0.7), clear: float = 0.0) -> Hazar
 
 
 def place(fields, routes, key, given=()) -> tuple[np.ndarray, np.ndarray, int]:
-    """The table, the tiles, and the first row that is empty."""
+    """Return the table, the tiles, and the first empty row."""
     room = sum(one.discs for one in fields)
     hazards = records(HazardRow, [*given, *[HazardRow(9, *[0.0] * 5, 0, 0)] * room])
     tiles = np.zeros(SHAPE, dtype=np.uint8)
     fill_tiles(hazards[: len(given)], NO_CORNERS, TILE, tiles)
     points = np.array([point for route in routes for point in route])
-    wanted, ways = records(HazardFieldRow, fields), ways_of(*routes)
+    wanted, ways = records(HazardFieldRow, fields), route_tiles(*routes)
     ground = hazards, len(given), tiles, work_array(*SHAPE)
     behind = place_hazards(wanted, points, ways, AREA, TILE, key, *ground)
     return hazards, tiles, behind
 
 
 def is_open(tiles: np.ndarray, routes) -> bool:
-    """True if each way can be gone from tile to tile beside it, found by filling the free ground."""
+    """Return whether every route is open from tile to tile, by filling the free ground."""
     regions, _ = label(tiles != BLOCK)
     return all(
         regions[tile_of(route[0])] == regions[tile_of(point)] > 0
@@ -63,7 +63,7 @@ def is_open(tiles: np.ndarray, routes) -> bool:
 
 
 def one_by_one(fields, routes, key) -> list[tuple[float, ...]]:
-    """The same discs, each tried by filling the free ground with all of them on it."""
+    """Place the same discs, and check each by filling the free ground around all of them."""
     kept: list[HazardRow] = []
     tiles = np.full(SHAPE, CLEAR, dtype=np.uint8)
     for f, one in enumerate(fields):

@@ -1,4 +1,4 @@
-"""The channel in a flight: what crosses it, when it arrives, and that every way to fly meets the same network."""
+"""The channel in a run: what crosses it, when it arrives, and the same network in every environment."""
 
 from pathlib import Path
 from typing import Any
@@ -59,11 +59,11 @@ def test_a_detection_comes_late_and_says_when_it_was_taken() -> None:
         flight.apply({"ugv_0": UgvCommand(tick=flight.world.tick, acceleration=(0.1, 0.0))})
     assert not any(observation.detections for observation in seen[:10])
     for tick in range(10, 30):
-        (look,) = seen[tick].detections
-        assert look.time == (tick - 10) * 0.05
+        (detection,) = seen[tick].detections
+        assert detection.time == (tick - 10) * 0.05
 
 
-def test_late_command_is_held_and_then_the_vehicle_brakes() -> None:
+def test_vehicle_keeps_a_late_command_and_then_brakes() -> None:
     late = moving(LinkTable(commands=LinkSettings(delay=0.2)))
     applied = []
     for tick in range(12):
@@ -71,17 +71,17 @@ def test_late_command_is_held_and_then_the_vehicle_brakes() -> None:
         applied.append(late.world.acceleration[0, 0])
     assert applied == pytest.approx([0.0] * 4 + [0.01 * (k + 1) for k in range(8)])
 
-    dark = moving(LinkTable(commands=LinkSettings(blackouts=((0.5, 5.0),))))
+    interrupted = moving(LinkTable(commands=LinkSettings(blackouts=((0.5, 5.0),))))
     speeds = []
     for tick in range(60):
-        dark.apply({"uav_0": UavCommand(tick=tick, acceleration=(0.2, 0.0))})
-        speeds.append(float(dark.world.velocity[0, 0]))
-    held = 10 + 10 - 1  # ten ticks got through, the last of them counts for half a second more
-    assert speeds[held] == pytest.approx(0.2 * 0.05 * (held + 1))
-    assert speeds[held + 1] < speeds[held]
+        interrupted.apply({"uav_0": UavCommand(tick=tick, acceleration=(0.2, 0.0))})
+        speeds.append(float(interrupted.world.velocity[0, 0]))
+    last = 10 + 10 - 1  # ten ticks arrived; the last command counts for half a second more
+    assert speeds[last] == pytest.approx(0.2 * 0.05 * (last + 1))
+    assert speeds[last + 1] < speeds[last]
     assert speeds[-1] == 0.0
-    assert dark.answers.missing["uav_0"] == 0  # its process was in time: the network was not
-    assert dark.answers.first_missing == 0  # the UGV's was not
+    assert interrupted.answers.missing["uav_0"] == 0  # its process was in time, the network was not
+    assert interrupted.answers.first_missing == 0  # the UGV's process was not
 
 
 def test_a_command_that_was_overtaken_is_not_flown_any_more() -> None:
@@ -92,7 +92,7 @@ def test_a_command_that_was_overtaken_is_not_flown_any_more() -> None:
         flown.append(float(flight.world.commands[0, 0]))
     assert flight.world.links.status()["uav_0/commands"].delivered > 90
     assert flown == sorted(flown)
-    assert len(set(flown)) < 80  # many came too late to be flown
+    assert len(set(flown)) < 80  # many arrived too late to be flown
 
 
 def test_operators_and_radio_come_late() -> None:
@@ -104,8 +104,8 @@ def test_operators_and_radio_come_late() -> None:
         seen = flight.observations()["ugv_0"]
         operator.append(bool(seen.operator))
         radio.append(bool(seen.radio))
-        said = {"radio": (message,) if tick == 0 else ()}
-        flight.apply({"uav_0": UavCommand(tick=tick, acceleration=(0.0, 0.0), **said)})
+        fields = {"radio": (message,) if tick == 0 else ()}
+        flight.apply({"uav_0": UavCommand(tick=tick, acceleration=(0.0, 0.0), **fields)})
     assert (operator.index(True), sum(operator)) == (6, 1)
     assert (radio.index(True), sum(radio)) == (5, 1)
 
@@ -119,7 +119,9 @@ def test_one_network_for_the_environment_one_process_and_three(tmp_path: Path) -
     observations, infos = env.reset(seed=7)
     policies = pilots(env)
     while env.agents:
-        assert "links" not in infos["uav_0"]  # what was sent tells at once what comes later
+        assert (
+            "links" not in infos["uav_0"]
+        )  # the counters of sent messages would reveal future arrivals
         observations, _, _, _, infos = env.step(
             {name: policies[name](observations[name]) for name in env.agents}
         )
@@ -153,13 +155,13 @@ def test_an_operator_degrades_a_link_while_it_flies(tmp_path: Path) -> None:
                 )
             )
             status(lambda s: s.links["uav_0/detections"].lost["loss"] > 100)
-            for told, kind, more in (
+            for phrase, kind, more in (
                 ("has no link", LinkKind.RADIO, {"vehicle": "ugv_0", "settings": LinkSettings()}),
                 ("bursts never end", LinkKind.RADIO, {"settings": LinkSettings(burst_length=1.0)}),
                 ("both are required", LinkKind.DETECTIONS, {}),
             ):
                 degrade(kind, **more)
-                status(lambda s, told=told: any(told in line for line in s.refusals))
+                status(lambda s, phrase=phrase: any(phrase in line for line in s.refusals))
             run.server.flight.stop()
 
         flight = run.fly(operator=work)

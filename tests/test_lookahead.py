@@ -1,4 +1,4 @@
-"""The law `lookahead`: what it expects is what the field's own kernels say, and it knows nothing that it may not."""
+"""The law `lookahead`: its expectation matches the field's own kernels, and it uses no forbidden information."""
 
 import math
 from typing import Any
@@ -12,7 +12,7 @@ from agents.uav import UavPilot
 from agents.uav_parameters import Target
 from bus.messages.scenario import Law
 from bus.messages.vehicle import UavObservation
-from flights import DESIRED, escort, flown_law, told, uav_sees
+from flights import DESIRED, briefing_of, escort, flown_law, uav_sees
 from outrider.envs.closed_loop import ClosedLoop
 from sim.models.field import accumulate, coverage_error, empty_coverage
 from sim.models.vehicles import Motion, step_vehicle
@@ -20,11 +20,11 @@ from sim.scenario.loading import load_scenario
 from sim.scenario.types import Area
 from worlds import SCENARIOS
 
-# on one worker: what they compile takes a minute, once
+# on one worker: compiling takes a minute, once
 pytestmark = pytest.mark.xdist_group("many worlds")
 
 HERE = Motion(17.0, 16.0, 0.2, -0.3)
-UGV = Target(True, 15.0, 15.0, 0.12, 0.08, 0.0, 0.0)  # and nothing is unsure
+UGV = Target(True, 15.0, 15.0, 0.12, 0.08, 0.0, 0.0)  # and nothing is uncertain
 FOREVER = 1e7
 TICKS = 1000
 
@@ -36,13 +36,13 @@ def _uav(cell: float, max_distance: float = 100.0) -> Any:
 
 
 def _ahead(uav: Any, coverage: Any, tick: int, target: Target, persistence: float) -> Ahead:
-    """A horizon of 6 s, without a margin at the border: nothing costs anything."""
+    """Return a horizon of 6 s without a margin at the border: nothing is penalized."""
     found = look_ahead(uav, 6.0, uav["max_speed"], coverage, tick, target, persistence)
     return found._replace(margin=-100.0)
 
 
-def _flown(uav: Any, ahead: Ahead, motion: np.ndarray, looks: int) -> float:
-    """The result of `worth`, by the world's own step and kernels: so many looks in each step."""
+def _flown(uav: Any, ahead: Ahead, motion: np.ndarray, samples: int) -> float:
+    """Return the result of `worth` by the step and kernels of the world, with several sensing times in each step."""
     seen = empty_coverage(uav["width"], uav["height"], uav["cell"])
     seen[:, 12:] = 0.7
     sensor = uav["sensor"], uav["cell"]
@@ -57,10 +57,10 @@ def _flown(uav: Any, ahead: Ahead, motion: np.ndarray, looks: int) -> float:
                 state = step_vehicle(*state, *u.tolist(), math.inf, uav["max_acceleration"], tick)[
                     :4
                 ]
-                if looks > 1 and part % (parts // looks) == parts // looks // 2:
-                    place, time = state[:2], ahead.step / looks
+                if samples > 1 and part % (parts // samples) == parts // samples // 2:
+                    place, time = state[:2], ahead.step / samples
                     accumulate(seen, *place, *sensor, time)
-            if looks == 1:
+            if samples == 1:
                 x, y = (0.5 * (a + b) for a, b in zip(began, state[:2], strict=True))
                 accumulate(seen, x, y, *sensor, ahead.step)
         after = (k + 1) * ahead.step
@@ -73,9 +73,9 @@ def _flown(uav: Any, ahead: Ahead, motion: np.ndarray, looks: int) -> float:
     return saved
 
 
-@pytest.mark.parametrize(("cell", "looks", "within"), [(1.5, 1, 1e-3), (0.25, 20, 0.05)])
-def test_a_motion_is_worth_what_the_kernels_of_the_world_say(cell, looks, within) -> None:
-    """On the coarse cells themselves, and on cells of the world with a look at every tick."""
+@pytest.mark.parametrize(("cell", "samples", "within"), [(1.5, 1, 1e-3), (0.25, 20, 0.05)])
+def test_value_of_a_motion_matches_the_kernels_of_the_world(cell, samples, within) -> None:
+    """Use the coarse cells themselves, and cells of the world with a sensing step at every tick."""
     c, rng = _uav(cell), np.random.default_rng(3)
     coverage = empty_coverage(36.0, 36.0, cell)
     coverage[:, 12:] = 0.7
@@ -85,7 +85,7 @@ def test_a_motion_is_worth_what_the_kernels_of_the_world_say(cell, looks, within
         motion = np.stack((speed * np.cos(angle), speed * np.sin(angle)), axis=-1)
         value = worth(c, ahead, HERE, motion, np.empty_like(ahead.lack), np.empty(8))
         assert value > 100.0
-        assert value == pytest.approx(_flown(c, ahead, motion, looks), rel=within)
+        assert value == pytest.approx(_flown(c, ahead, motion, samples), rel=within)
 
 
 def test_lookahead_penalizes_filtered_and_outside_motion() -> None:
@@ -94,8 +94,8 @@ def test_lookahead_penalizes_filtered_and_outside_motion() -> None:
     ahead = _ahead(_uav(0.25), coverage, 0, UGV._replace(v_x=0.0, v_y=0.0), FOREVER)
 
     def costs(here: Motion, *, room: float = 100.0, margin: float = -100.0) -> float:
-        lack, looked = np.empty_like(ahead.lack), ahead._replace(margin=margin)
-        return -worth(_uav(0.25, room), looked, here, still, lack, np.empty(8))
+        lack, adapted = np.empty_like(ahead.lack), ahead._replace(margin=margin)
+        return -worth(_uav(0.25, room), adapted, here, still, lack, np.empty(8))
 
     near, far = Motion(17.0, 15.0, 0.0, 0.0), Motion(19.5, 15.0, 0.0, 0.0)
     assert costs(near, room=4.4) == 0.0
@@ -115,7 +115,7 @@ def test_reversing_ugv_is_expected_nearer() -> None:
 
 
 def test_the_true_velocity_of_the_ugv_changes_no_command() -> None:
-    """Detections and the map stay as they are: the world is changed behind everybody's back, at a decision."""
+    """Detections and the map stay as they are: only the true velocity is changed, at a decision."""
     commands = []
     for factor in (1.0, -3.0):
         loop = ClosedLoop(SCENARIOS["lookahead"], 2, error=True, end_on_sight_lost=False)
@@ -157,14 +157,14 @@ def _observations(law: Law | None = None) -> list[UavObservation]:
     rng, here = np.random.default_rng(8), np.array([8.0, 7.0])
     found = []
     for tick in range(60):
-        look = tick * 0.05, tuple((rng.normal(0.0, 0.1, 2) + 0.01 * tick).tolist())
+        detection = tick * 0.05, tuple((rng.normal(0.0, 0.1, 2) + 0.01 * tick).tolist())
         own = {"position": tuple((here + 0.02 * tick).tolist()), "velocity": (0.4, 0.4)}
-        found.append(uav_sees(tick, look, **own, law=law if tick == 25 else None))
+        found.append(uav_sees(tick, detection, **own, law=law if tick == 25 else None))
     return found
 
 
-def test_a_process_that_joins_again_goes_on_with_the_same_motion() -> None:
-    briefing = told(SCENARIOS["lookahead"])
+def test_rejoining_process_continues_the_same_motion() -> None:
+    briefing = briefing_of(SCENARIOS["lookahead"])
     seen = _observations()
     one, other = UavPilot(briefing), UavPilot(briefing)
     commands = [one.act(observation) for observation in seen]
@@ -174,9 +174,9 @@ def test_a_process_that_joins_again_goes_on_with_the_same_motion() -> None:
 
 
 def test_it_takes_over_in_flight() -> None:
-    pilot = UavPilot(told(SCENARIOS["certified"]))
+    pilot = UavPilot(briefing_of(SCENARIOS["certified"]))
     commands = [pilot.act(one).acceleration for one in _observations(Law(name="lookahead"))]
-    plain = UavPilot(told(SCENARIOS["certified"]))
+    plain = UavPilot(briefing_of(SCENARIOS["certified"]))
     before = [plain.act(one).acceleration for one in _observations()]
     assert commands[:25] == before[:25]
     assert commands[25] != before[25]

@@ -1,4 +1,4 @@
-"""The table of metrics: what it explains is what a run tells, sums up and shows."""
+"""The table of metrics: it explains every number of a run, its summary and its views."""
 
 import math
 from typing import Any
@@ -16,7 +16,7 @@ from outrider.running.summary import Summary
 from sim.scenario.loading import load_scenario
 
 NO_METRICS = {"seed", "dt", "realtime", "first_missing_tick", "lost_chance"}
-"""Numbers of a summary that are settings, or bounds of another kind."""
+"""Numbers of a summary that are settings or other bounds."""
 PAIRS = {
     "uav": [{"position": [7.0, 8.0]}, {"position": [7.0, 28.0], "escorts": "ugv_1"}],
     "ugv": [{"position": [7.0, 7.0]}, {"position": [7.0, 27.0]}],
@@ -27,7 +27,7 @@ PAIRS = {
 
 
 def _numbers(struct: type[msgspec.Struct]) -> set[str]:
-    """The fields that hold a number or true or false."""
+    """Return the fields that contain a number or a truth value."""
     kinds = (msgspec.inspect.IntType, msgspec.inspect.FloatType, msgspec.inspect.BoolType)
     found = msgspec.inspect.type_info(struct)
     assert isinstance(found, msgspec.inspect.StructType)
@@ -89,9 +89,9 @@ def test_the_console_has_a_row_for_each_of_several_uavs(
 ) -> None:
     console.print_summary(pairs, [])
     lines = capsys.readouterr().out.splitlines()
-    for name, told in pairs.uavs.items():
+    for name, summary_of_uav in pairs.uavs.items():
         (row,) = (line.split() for line in lines if line.startswith(name))
-        assert row[1] == UAV["max_distance"].number(told.max_distance or 0.0)
+        assert row[1] == UAV["max_distance"].number(summary_of_uav.max_distance or 0.0)
     alone = msgspec.structs.replace(pairs, uavs={"uav_0": pairs.uavs["uav_0"]})
     console.print_summary(alone, [])
     assert "\nuav_0" not in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Commands that carry a motion: the vehicle flies on what was checked while commands are lost."""
+"""Commands with backup trajectories: the vehicle follows the checked trajectory while commands are lost."""
 
 import math
 from pathlib import Path
@@ -13,7 +13,7 @@ from agents.safety.handover import largest_interval
 from agents.safety.safety_filter import SafetyFilter
 from bus.messages.decision import NotCertified
 from bus.messages.vehicle import MOST_CARRIED, BackupTrajectory, UavCommand
-from flights import EVADED, PROMISED, certified, flown_in_both, told, uav_sees
+from flights import DECLARED_BOUNDS, EVADED, briefing_of, certified, flown_in_both, uav_sees
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
@@ -33,48 +33,48 @@ def rest(begins: int, parent: int = -1, **fields) -> BackupTrajectory:
     return BackupTrajectory(begins, parent, (0.0, 0.0), **fields)
 
 
-def still(outage: float | None = 1.0, delay: float = 0.2) -> World:
-    """A UAV at rest, with perfect links."""
+def still(interval: float | None = 1.0, delay: float = 0.2) -> World:
+    """Return a UAV at rest, with perfect links."""
     scenario = small(
-        "certified", certificate=Certificate(max_command_delay=delay, max_command_interval=outage)
+        "certified", certificate=Certificate(max_command_delay=delay, max_command_interval=interval)
     )
     return World(scenario, 1)
 
 
 def flown(world: World, commands: dict[int, tuple[BackupTrajectory, ...]], ticks: int) -> list:
-    """The motion that is flown in each tick; `commands` by the tick in which they set out."""
-    told = []
+    """Return the trajectory that is flown in each tick; `commands` by the tick in which they are sent."""
+    flown_ticks = []
     for tick in range(ticks):
         if tick in commands:
             world.send(0, tick, (0.0, 0.0), commands[tick])
         world.advance()
-        told.append(world.flown(0))
-    return told
+        flown_ticks.append(world.flown(0))
+    return flown_ticks
 
 
 # -- the receiver
 
 
-def test_a_motion_that_comes_early_begins_in_its_own_tick() -> None:
+def test_early_trajectory_starts_in_its_own_tick() -> None:
     assert flown(still(), {0: (rest(4),)}, 6) == [None, None, None, None, 4, 4]
 
 
-def test_a_motion_that_comes_late_never_begins() -> None:
+def test_late_trajectory_never_starts() -> None:
     assert flown(still(), {3: (rest(2),)}, 8) == [None] * 8
 
 
-def test_a_motion_begins_only_if_its_parent_is_flown() -> None:
+def test_trajectory_starts_only_if_its_parent_is_flown() -> None:
     world = still()
     chain = {0: (rest(0),), 1: (rest(1, 0),), 2: (rest(2, 0),), 3: (rest(3, 1),)}
-    assert flown(world, chain, 5) == [0, 1, 1, 3, 3]  # 2 goes on from 0, which is no longer flown
+    assert flown(world, chain, 5) == [0, 1, 1, 3, 3]  # 2 follows 0, which is no longer flown
 
 
-def test_command_carries_the_motions_of_lost_ones() -> None:
+def test_command_repeats_the_trajectories_of_lost_commands() -> None:
     world = still()
     assert flown(world, {3: (rest(3), rest(4, 3), rest(5, 4))}, 7) == [None, None, None, 3, 4, 5, 5]
 
 
-def test_a_motion_is_flown_to_its_end_and_then_the_vehicle_rests() -> None:
+def test_trajectory_is_flown_to_its_end_and_the_vehicle_rests() -> None:
     world = still()
     plan = BackupTrajectory(0, -1, (0.2, 0.0), 2, 3, 4, (0.0, 0.1), (-0.05, -0.05))
     world.send(0, 0, (9.0, 9.0), (plan,))
@@ -86,23 +86,23 @@ def test_a_motion_is_flown_to_its_end_and_then_the_vehicle_rests() -> None:
     assert np.all(world.velocity[0] == 0.0)
 
 
-@pytest.mark.parametrize(("outage", "begun"), [(0.05, True), (1.0, False)])
-def test_late_motion_acts_as_acceleration_after_the_timeout(outage, begun):
-    """Before that it is void."""
-    world = still(outage, 0.0)
+@pytest.mark.parametrize(("interval", "acts"), [(0.05, True), (1.0, False)])
+def test_late_trajectory_acts_as_acceleration_after_the_timeout(interval, acts):
+    """Before that it has no effect."""
+    world = still(interval, 0.0)
     for tick in range(1, 4):
         world.move_to(tick)
         world.send(0, tick - 1, (0.1, 0.0), (BackupTrajectory(tick - 1, tick - 2, (0.2, 0.0)),))
         world.advance()
     assert world.flown(0) is None
-    assert world.commands[0].tolist() == ([0.1, 0.0] if begun else [0.0, 0.0])
-    tick = world.tick  # one that is in time takes over again
+    assert world.commands[0].tolist() == ([0.1, 0.0] if acts else [0.0, 0.0])
+    tick = world.tick  # one in time takes effect again
     world.send(0, tick, (0.0, 0.0), (BackupTrajectory(tick, -1, (0.3, 0.0)),))
     world.advance()
     assert (world.flown(0), world.commands[0].tolist()) == (tick, [0.3, 0.0])
 
 
-def test_commands_with_and_without_motions_take_over() -> None:
+def test_commands_with_and_without_trajectories_take_effect() -> None:
     world = still()
     world.send(0, 0, (0.0, 0.0), (rest(0),))
     world.advance()
@@ -116,26 +116,28 @@ def test_commands_with_and_without_motions_take_over() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(st.integers(-2, 12), st.integers(-1, 12)), max_size=6))
-def test_receiver_flies_a_received_motion_or_rests(sent) -> None:
-    motions = [BackupTrajectory(max(0, begins), parent, (0.1, 0.0)) for begins, parent in sent]
+def test_receiver_flies_a_received_trajectory_or_rests(sent) -> None:
+    trajectories = [BackupTrajectory(max(0, begins), parent, (0.1, 0.0)) for begins, parent in sent]
     world = still()
-    told_flown = flown(
-        world, {tick: (motion,) for tick, motion in enumerate(motions)}, len(motions)
+    flown_ticks = flown(
+        world,
+        {tick: (trajectory,) for tick, trajectory in enumerate(trajectories)},
+        len(trajectories),
     )
-    names = {motion.begins for motion in motions}
-    assert all(one is None or one in names for one in told_flown)
+    names = {trajectory.begins for trajectory in trajectories}
+    assert all(one is None or one in names for one in flown_ticks)
     assert np.linalg.norm(world.velocity[0]) <= 0.6
 
 
-def test_a_motion_survives_its_message() -> None:
-    motion = BackupTrajectory(7, 6, (0.1, -0.2), 1, 2, 3, (0.25, 0.5), (-0.125, 1e-9))
-    assert struct_of(BackupTrajectory, received_motion(motion)[0]) == motion
+def test_trajectory_survives_encoding() -> None:
+    trajectory = BackupTrajectory(7, 6, (0.1, -0.2), 1, 2, 3, (0.25, 0.5), (-0.125, 1e-9))
+    assert struct_of(BackupTrajectory, received_motion(trajectory)[0]) == trajectory
 
 
 # -- the pilot
 
 
-def test_a_command_with_all_its_motions_is_at_most_a_kilobyte() -> None:
+def test_command_with_all_trajectories_is_at_most_a_kilobyte() -> None:
     env, taken = parallel_env(LOST), []
     observations, _ = env.reset(seed=1)
     policies = pilots(env)
@@ -143,14 +145,14 @@ def test_a_command_with_all_its_motions_is_at_most_a_kilobyte() -> None:
         commands = {name: policies[name](observations[name]) for name in env.agents}
         taken.append(commands["uav_0"].backup_trajectories)
         observations, *_ = env.step(commands)
-    for motions in taken:
-        begins = [motion.begins for motion in motions]
+    for trajectories in taken:
+        begins = [trajectory.begins for trajectory in trajectories]
         assert begins == list(range(begins[0], begins[0] + len(begins)))
-    assert max(len(motions) for motions in taken) == MOST_CARRIED
-    assert max(len(msgspec.json.encode(motions)) for motions in taken) <= 1024
+    assert max(len(trajectories) for trajectories in taken) == MOST_CARRIED
+    assert max(len(msgspec.json.encode(trajectories)) for trajectories in taken) <= 1024
 
 
-def test_more_motions_than_a_command_may_carry_are_refused() -> None:
+def test_too_many_trajectories_in_a_command_are_refused() -> None:
     command = UavCommand(
         tick=0, acceleration=(0.0, 0.0), backup_trajectories=(rest(0),) * (MOST_CARRIED + 1)
     )
@@ -162,7 +164,7 @@ def test_more_motions_than_a_command_may_carry_are_refused() -> None:
 
 
 def test_lost_commands_fly_alike_in_environment_and_run() -> None:
-    """Without estimator: the UGV hears of the UAV's, which rounds otherwise in the environment."""
+    """Without estimator: its estimate, which the UGV receives, is rounded differently in the environment."""
     _, _, summary = flown_in_both(raw(LOST), 3)
     assert summary.certified_share == 1.0
 
@@ -177,8 +179,8 @@ def test_lossy_recorded_links_fly_alike_over_three_processes() -> None:
     assert there["links"]["uav_0/detections"]["lost"]["trace"] > 0
 
 
-def test_excessive_motions_are_counted_and_reported_once(caplog) -> None:
-    """As a pilot of somebody else's may send them; those of ours never are."""
+def test_excessive_trajectories_are_counted_and_reported_once(caplog) -> None:
+    """Foreign pilots may send them; our own pilots never do."""
     flight, _ = fly(LOST, 3)
     assert flight.answers.shortened == {"uav_0": 0, "ugv_0": 0}
     too_far = msgspec.structs.replace(rest(8), turn=3, turning=(0.3, 0.4))
@@ -198,16 +200,16 @@ def test_excessive_motions_are_counted_and_reported_once(caplog) -> None:
 # -- the theorem
 
 
-def test_an_outage_costs_radius_and_age() -> None:
-    paper = PROMISED | {"eps": 0.3, "age": 5.0}
-    numbers = [certified(**paper, outage=b) for b in (0.05, 1.0, 4.0)]
+def test_command_interval_costs_radius_and_age() -> None:
+    paper = DECLARED_BOUNDS | {"eps": 0.3, "age": 5.0}
+    numbers = [certified(**paper, interval=b) for b in (0.05, 1.0, 4.0)]
     assert [c.handover_bound for c in numbers] == sorted(
         (c.handover_bound for c in numbers), reverse=True
     )
     assert all(c.handover_radius <= numbers[0].handover_radius for c in numbers)
     most = largest_interval(numbers[0])
-    assert math.isnan(certified(**paper, outage=most + 0.1).handover_radius)
-    assert not math.isnan(certified(**paper, outage=most - 0.1).handover_radius)
+    assert math.isnan(certified(**paper, interval=most + 0.1).handover_radius)
+    assert not math.isnan(certified(**paper, interval=most - 0.1).handover_radius)
 
 
 def test_filtered_policy_keeps_sight_while_commands_are_lost() -> None:
@@ -230,7 +232,7 @@ def test_filtered_policy_keeps_sight_while_commands_are_lost() -> None:
     assert interventions > 0
 
 
-def test_undeclared_silence_is_reported_by_name() -> None:
+def test_undeclared_command_gap_is_reported_by_name() -> None:
     scenario = small(
         "certified",
         links=LinkTable(commands=msgspec.structs.replace(LOSSY, blackouts=((5.0, 3.0),))),
@@ -243,54 +245,56 @@ def test_undeclared_silence_is_reported_by_name() -> None:
 
 
 def reasons(
-    delay: float, outage: float, ticks: range, flown, moved=lambda _: (8.0, 7.0)
+    delay: float, interval: float, ticks: range, flown, moved=lambda _: (8.0, 7.0)
 ) -> list[NotCertified | None]:
-    """A filter's answers to each tick, at rest and with one detection in the first; `flown` and `moved` by tick."""
-    declared = Certificate(max_command_delay=delay, max_command_interval=outage)
-    pilot, found = SafetyFilter(told(small("certified", certificate=declared))), []
+    """Return a filter's decision in each tick, at rest with one detection in the first; `flown` and `moved` by tick."""
+    declared = Certificate(max_command_delay=delay, max_command_interval=interval)
+    pilot, found = SafetyFilter(briefing_of(small("certified", certificate=declared))), []
     for tick in ticks:
-        looks = [(tick * 0.05, (0.0, 1.0))] if tick == ticks[0] else []
-        seen = uav_sees(tick, *looks, position=moved(tick), committed_trajectory=flown(tick))
+        detections = [(tick * 0.05, (0.0, 1.0))] if tick == ticks[0] else []
+        seen = uav_sees(tick, *detections, position=moved(tick), committed_trajectory=flown(tick))
         pilot.see(seen)
         found.append(pilot.filter(seen, (0.0, 0.0)).reason)
     return found
 
 
-def test_unavoidable_outage_is_reported_at_once() -> None:
-    """And not as a plan that is missing, when it is too late: the next motion begins tau_c from now, or later."""
-    # what begins in tick 14 is lost
-    said = reasons(0.4, 0.3, range(20), lambda tick: None if tick < 9 else min(tick - 1, 13))
-    assert said[:15] == [None] * 15
-    assert set(said[15:]) == {NotCertified.COMMAND_INTERVAL}
+def test_unavoidable_command_gap_is_reported_at_once() -> None:
+    """It is not reported late as a missing plan: the next trajectory starts in tau_c or later."""
+    # the trajectory for tick 14 is lost
+    found_reasons = reasons(
+        0.4, 0.3, range(20), lambda tick: None if tick < 9 else min(tick - 1, 13)
+    )
+    assert found_reasons[:15] == [None] * 15
+    assert set(found_reasons[15:]) == {NotCertified.COMMAND_INTERVAL}
 
 
 def test_pushed_vehicle_is_reported_and_certified_again() -> None:
-    """A filter that is told another state than it has predicted trusts no plan that was made before."""
-    said = reasons(
+    """A filter whose own state differs from its prediction trusts no earlier plan."""
+    found_reasons = reasons(
         *(0.1, 1.0, range(12)),
         flown=lambda tick: None if tick < 3 else tick - 1,
         moved=lambda tick: (8.0, 7.0) if tick < 6 else (8.1, 7.0),
     )
-    assert said[:6] == [None] * 6
-    assert said[6] is NotCertified.OFF_TRAJECTORY
-    assert set(said[7:]) == {None}  # at rest it is checked anew at once
+    assert found_reasons[:6] == [None] * 6
+    assert found_reasons[6] is NotCertified.OFF_TRAJECTORY
+    assert set(found_reasons[7:]) == {None}  # at rest it is checked again at once
 
 
-def test_what_another_pilot_has_sent_is_not_trusted() -> None:
-    """A filter that is told of a motion that it has not sent certifies nothing until its own are flown."""
-    said = reasons(0.1, 1.0, range(40, 52), lambda tick: 39 if tick < 43 else tick - 1)
-    assert said[0] == NotCertified.UNCHECKED_PLAN
-    assert said[-1] is None
+def test_trajectory_of_another_pilot_is_not_trusted() -> None:
+    """A filter whose vehicle follows an unknown trajectory certifies nothing until its own are flown."""
+    found_reasons = reasons(0.1, 1.0, range(40, 52), lambda tick: 39 if tick < 43 else tick - 1)
+    assert found_reasons[0] == NotCertified.UNCHECKED_PLAN
+    assert found_reasons[-1] is None
 
 
-def test_reported_motion_does_not_depend_on_the_ugv() -> None:
-    """Its own links and motions lead to it, and nothing else: two UGVs that move differently, one answer."""
+def test_reported_trajectory_does_not_depend_on_the_ugv() -> None:
+    """It follows from the UAV's links and trajectories alone, so that two different UGVs give the same result."""
     scenario = small(
         "certified",
         links=LinkTable(commands=LOSSY),
         certificate=Certificate(max_command_delay=0.4, max_command_interval=2.0),
     )
-    told = []
+    runs = []
     for push in ((0.1, 0.0), (-0.05, 0.08)):
         world = World(scenario, 4)
         answers = []
@@ -301,10 +305,10 @@ def test_reported_motion_does_not_depend_on_the_ugv() -> None:
             world.send(1, tick, push)
             world.advance()
             answers.append(world.flown(0))
-        told.append(answers)
+        runs.append(answers)
         assert {one for one in answers if one is not None} <= set(range(8, 208))
-    assert told[0] == told[1]
-    assert len(set(told[0])) > 10
+    assert runs[0] == runs[1]
+    assert len(set(runs[0])) > 10
 
 
 def test_uavs_alone_have_receivers() -> None:

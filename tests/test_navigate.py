@@ -1,4 +1,4 @@
-"""The driver `navigate`: its plan, its look-ahead, and the filter of a cautious UGV under attack."""
+"""The driver `navigate`: its plan, its prediction, and the filter of a cautious UGV under attack."""
 
 import itertools
 import math
@@ -38,7 +38,7 @@ from agents.drivers.planning import (
 from agents.drivers.tile_map import occupancy_grid, record_block, record_tiles
 from bus.messages.ground import UgvGround
 from bus.messages.scenario import Area, Limits
-from flights import told_ugv
+from flights import ugv_briefing
 from sim.models.ground import CLEAR, UNSEEN
 from sim.models.hazards import BLOCK, FOUND, ROUGH, TOUCH
 from sim.models.vehicles import Motion, brake, norm, step_vehicle
@@ -64,7 +64,7 @@ def _random_map(rng: np.random.Generator, rows: int, columns: int) -> Any:
 
 
 def _plan(memory: Any, tile: float, goal: int, until: int = -1, most: int = 1 << 40) -> float:
-    """Plan in steps of so many tiles; up to which cost all is settled."""
+    """Plan in steps of at most `most` tiles; return the cost up to which all tiles are settled."""
     start_search(memory, goal)
     while not continue_search(ROUGH_PRICE, tile, memory, until, most):
         assert memory.flags[0]["searching"]
@@ -77,7 +77,7 @@ def _costs(memory: Any) -> Any:
 
 
 def _steps(memory: Any, tile: float, goal: int) -> Any:
-    """All steps from tile to tile with their costs, and infinite ones, by the rules of the map."""
+    """Return all steps from tile to tile with their costs, infinite ones included, by the rules of the map."""
     rows, columns = memory.tiles.shape
     blocked = memory.tiles == BLOCK
     price = np.where(memory.tiles == UNSEEN, 1.5, np.where(memory.tiles == ROUGH, 2.5, 1.0))
@@ -95,7 +95,7 @@ def _steps(memory: Any, tile: float, goal: int) -> Any:
 
 
 def _by_library(memory: Any, tile: float, goal: int) -> Any:
-    """Costs to the goal by SciPy."""
+    """Return the costs to the goal by SciPy."""
     steps = [step for step in _steps(memory, tile, goal) if math.isfinite(step[2])]
     start, end, cost = zip(*steps, strict=True) if steps else ((), (), ())
     size = memory.tiles.size
@@ -199,11 +199,11 @@ def test_bumper_precedes_radio_and_blocked_precedes_clear() -> None:
     words[:3] = BLOCK, CLEAR, UNSEEN
     record_block(memory, 0, 0, words)
     assert memory.tiles[0, :3].tolist() == [BLOCK, BLOCK, ROUGH]
-    told = np.array([[0, 0], [0, 1], [-1, 3], [4, 10]])
-    record_tiles(memory, told[:, 0], told[:, 1], np.array([CLEAR, FOUND, CLEAR, CLEAR], np.uint8))
+    known = np.array([[0, 0], [0, 1], [-1, 3], [4, 10]])
+    record_tiles(memory, known[:, 0], known[:, 1], np.array([CLEAR, FOUND, CLEAR, CLEAR], np.uint8))
     record_block(memory, 0, 0, np.full(64, BLOCK, np.uint8))
     assert memory.tiles[0, :3].tolist() == [CLEAR, FOUND, BLOCK]
-    record_block(memory, 1, 1, np.full(64, CLEAR, np.uint8))  # most of it is outside
+    record_block(memory, 1, 1, np.full(64, CLEAR, np.uint8))  # most of it is outside the map
     assert (memory.tiles[8, 8:] == CLEAR).all()
     assert (memory.tiles == UNSEEN).sum() == 90 - 64 - 2
 
@@ -217,7 +217,7 @@ def test_a_map_of_negative_size_is_refused() -> None:
 
 
 def _apart(corners: Any, low: Any, high: Any) -> float:
-    """The largest gap between a triangle and a box along the normals of their sides; negative if they overlap."""
+    """Return the largest gap between a triangle and a box along their normals; negative if they overlap."""
     box = np.array(list(itertools.product(*zip(low, high, strict=True))))
     axes = [(1.0, 0.0), (0.0, 1.0)]
     for k in range(3):
@@ -344,7 +344,7 @@ def test_ugv_leaves_its_blocked_tile_and_enters_none() -> None:
 
 
 def test_cautious_ugv_enters_no_unknown_tile_under_attack(cautious) -> None:
-    """The long version, 10,000 flights: `python benchmarks/cautious_attacks.py attack`, and `lossy`."""
+    """The long version with 10,000 runs: `python benchmarks/cautious_attacks.py attack`, and `lossy`."""
     flights = [
         cautious.fly(cautious.draw_trial(seed), seed, lossy=seed % 2 == 1) for seed in range(100)
     ]
@@ -377,13 +377,13 @@ def test_it_arrives_wherever_there_is_a_way(cautious: ModuleType) -> None:
 
 
 def _parameters(**numbers: Any) -> Any:
-    told = told_ugv(
+    briefing = ugv_briefing(
         area=Area(width=20.0, height=5.0, cell=0.5),
         limits=Limits(max_speed=1.5, max_acceleration=0.5),
         goal_tolerance=0.2,
         ground=UgvGround(tile=0.5, sensing_range=0.75, caution="cautious", rough_speed_share=0.4),
     )
-    found = asdict(driver_parameters(told, "navigate"))
+    found = asdict(driver_parameters(briefing, "navigate"))
     return Numbers(**found | numbers)
 
 
@@ -477,7 +477,7 @@ def test_news_in_every_tick_keeps_no_search_from_its_end() -> None:
         speeds.append(norm(here.v_x, here.v_y))
     assert len(plans) > 10
     assert np.hypot(here.p_x - 18.0, here.p_y - 2.5) < p.goal_tolerance
-    assert min(speeds[60:150]) > 0.5  # it drives on the plan before meanwhile
+    assert min(speeds[60:150]) > 0.5  # meanwhile it drives on the previous plan
 
 
 def test_ugv_keeps_its_goal_while_searching_for_the_next() -> None:

@@ -1,4 +1,4 @@
-"""The symmetry breaker (7): the nearest uncovered point, ties drawn at random, and how long a point is held."""
+"""The symmetry breaker (7): the nearest uncovered point, random ties, and the time for which a point is kept."""
 
 import numpy as np
 import pytest
@@ -17,12 +17,12 @@ from sim.models.field import cover, empty_coverage
 from sim.models.vehicles import Motion
 
 CELL = 0.25
-Answer = tuple[bool, float, float]
+Result = tuple[bool, float, float]
 
 
 @st.composite
 def _searches(draw: st.DrawFn) -> tuple[np.ndarray, float, float, float, float, float, float]:
-    """Ground with few uncovered cells, both vehicles on it or beside it, r_o and the cell's width."""
+    """Draw ground with few uncovered cells, both vehicles on it or beside it, r_o, and the cell width."""
     rows, columns = draw(st.integers(1, 40)), draw(st.integers(1, 40))
     cell = draw(st.sampled_from((0.25, 0.4, 1.0)))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
@@ -49,8 +49,8 @@ def test_no_uncovered_point_is_nearer(search, key):
         assert np.hypot(q_x - p_ax, q_y - p_ay) == pytest.approx(least, rel=1e-9)
 
 
-def _corner(key: int, tick: int = 0) -> Answer:
-    """The nearest of the four cells around a corner of the grid, all uncovered."""
+def _corner(key: int, tick: int = 0) -> Result:
+    """Return the nearest of the four cells around a corner of the grid, all uncovered."""
     coverage = empty_coverage(40.0, 40.0, CELL)
     return nearest_uncovered(coverage, *HERE, *HERE, R_O, DESIRED, CELL, a_key(key), tick)
 
@@ -72,7 +72,7 @@ def test_the_symmetry_breaker_points_from_the_uav_to_the_point() -> None:
 
 
 class _Search:
-    """`direction_to_uncovered` with a map and a state of its own; the UAV stands at (20, 20)."""
+    """`direction_to_uncovered` with its own map and state; the UAV is at (20, 20)."""
 
     def __init__(self) -> None:
         self.c = flown_law(escort("coverage"))
@@ -82,7 +82,7 @@ class _Search:
     def uncover(self, x: float, y: float, value: float = 0.0) -> None:
         self.coverage[int(y / CELL), int(x / CELL)] = value
 
-    def way(self, ugv: tuple[float, float] = HERE) -> Answer:
+    def next_direction(self, ugv: tuple[float, float] = HERE) -> Result:
         self.tick += 1
         own, target = Motion(*HERE, 0.0, 0.0), target_at(*ugv)
         return direction_to_uncovered(
@@ -93,39 +93,39 @@ class _Search:
 def test_the_point_is_held_until_it_is_covered() -> None:
     search = _Search()
     search.uncover(25.125, 20.125)
-    assert search.way() == (True, 5.125, 0.125)
+    assert search.next_direction() == (True, 5.125, 0.125)
     search.uncover(18.125, 20.125)  # a nearer one
-    assert search.way() == (True, 5.125, 0.125)
+    assert search.next_direction() == (True, 5.125, 0.125)
     search.uncover(25.125, 20.125, value=0.999 * DESIRED)  # nearly covered
-    assert search.way() == (True, 5.125, 0.125)
+    assert search.next_direction() == (True, 5.125, 0.125)
     search.uncover(25.125, 20.125, value=DESIRED)
-    assert search.way() == (True, -1.875, 0.125)
+    assert search.next_direction() == (True, -1.875, 0.125)
 
 
 def test_nearest_point_is_held_within_the_density_support() -> None:
     search = _Search()
     search.uncover(25.125, 20.125)
     search.uncover(12.125, 20.125)
-    assert search.way() == (True, 5.125, 0.125)
-    assert search.way(ugv=(25.125 - 0.999 * R_O, 20.125)) == (True, 5.125, 0.125)
-    assert search.way(ugv=(25.125 - 1.001 * R_O, 20.125)) == (True, -7.875, 0.125)
+    assert search.next_direction() == (True, 5.125, 0.125)
+    assert search.next_direction(ugv=(25.125 - 0.999 * R_O, 20.125)) == (True, 5.125, 0.125)
+    assert search.next_direction(ugv=(25.125 - 1.001 * R_O, 20.125)) == (True, -7.875, 0.125)
 
 
 def test_covered_ground_has_no_nearest_point() -> None:
     search = _Search()
     search.uncover(25.125, 20.125)
-    search.way()
+    search.next_direction()
     search.uncover(25.125, 20.125, value=DESIRED)
-    assert search.way() == (False, 0.0, 0.0)
+    assert search.next_direction() == (False, 0.0, 0.0)
     search.uncover(25.125, 20.125)
     search.uncover(18.125, 20.125)
-    assert search.way() == (True, -1.875, 0.125)
+    assert search.next_direction() == (True, -1.875, 0.125)
 
 
 def test_ground_outside_the_support_is_no_goal() -> None:
     search = _Search()
     search.uncover(20.125 + R_O, 20.125)
-    assert search.way() == (False, 0.0, 0.0)
+    assert search.next_direction() == (False, 0.0, 0.0)
 
 
 def test_uav_over_its_point_draws_a_keyed_direction() -> None:

@@ -1,4 +1,4 @@
-"""The first steps of a user: names that collide, brackets in paths and errors, a file to begin with, the doctor."""
+"""The first steps of a user: name collisions, brackets in paths and errors, a first file, the doctor."""
 
 import errno
 import importlib
@@ -97,8 +97,8 @@ def test_policy_error_ends_every_kind_of_run_alike(here, command):
     assert "tick 0" in done.stderr
     assert "frame [/base_link] unknown, [m/s²] (frames.py:1, in wheel)" in done.stderr
     assert len(done.stderr.splitlines()) == 1
-    told = [(one.returncode, one.stdout, one.stderr) for one in (alone, done)]
-    assert told[0] == told[1] == (2, "", done.stderr)
+    results = [(one.returncode, one.stdout, one.stderr) for one in (alone, done)]
+    assert results[0] == results[1] == (2, "", done.stderr)
     assert not (here / "mine").exists()
 
 
@@ -120,7 +120,7 @@ def test_debug_shows_and_logs_the_traceback_of_a_vehicle(here, monkeypatch, comm
     (here / "deep.py").write_text(
         "def wheel(o, b):\n    return inner(o)\n\n\ndef inner(o):\n    return 1 / 0\n"
     )
-    monkeypatch.setenv("OUTRIDER_DEBUG", "")  # so that it is as before afterwards
+    monkeypatch.setenv("OUTRIDER_DEBUG", "")  # restored afterwards
     own = words(
         "--duration 1 --no-picture --out flown --driver policy --set custom.policy=deep:wheel --debug"
     )
@@ -133,7 +133,7 @@ def test_debug_shows_and_logs_the_traceback_of_a_vehicle(here, monkeypatch, comm
 
 
 @pytest.mark.parametrize(
-    ("raised", "told"),
+    ("raised", "phrase"),
     [
         (OSError(errno.EMFILE, "Too many open files"), "OSError: Too many open files; --debug"),
         (ConnectionRefusedError(errno.ECONNREFUSED, "refused"), "ConnectionRefusedError: refused"),
@@ -141,7 +141,7 @@ def test_debug_shows_and_logs_the_traceback_of_a_vehicle(here, monkeypatch, comm
         (FileNotFoundError(errno.ENOENT, "not there", "a.csv"), "outrider: a.csv: not there"),
     ],
 )
-def test_an_error_of_the_system_is_told_as_what_it_is(raised, told, monkeypatch, command):
+def test_system_error_is_reported_by_its_cause(raised, phrase, monkeypatch, command):
     from outrider.cli import doctor
 
     broken = create_autospec(doctor.command, side_effect=raised)
@@ -149,7 +149,7 @@ def test_an_error_of_the_system_is_told_as_what_it_is(raised, told, monkeypatch,
     monkeypatch.setenv("OUTRIDER_DEBUG", "")
     done = command("doctor")
     assert done.returncode == 1
-    assert told in done.stderr
+    assert phrase in done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert "Traceback (most recent call last)" in command("doctor", "--debug").stderr
 
@@ -212,7 +212,7 @@ def test_an_option_means_the_same_in_every_command():
     assert {name: seen for name, seen in kinds.items() if len(seen) > 1} == {}
 
 
-def test_an_error_in_a_weighting_of_ones_own_names_its_line(here, command):
+def test_error_in_a_user_weighting_names_its_line(here, command):
     (here / "steep.py").write_text("def share(d, r_s):\n    return d.nothing\n")
     done = command(
         *words("run --in-process --no-files --law weighted --set custom.weighting=steep:share")
@@ -305,7 +305,7 @@ def test_the_shell_completes_commands():
         ("uav_policy", {"law": "certified"}),
     ],
 )
-def test_code_of_ones_own_is_flown_or_warned_of(own: str, options: dict[str, str]) -> None:
+def test_user_code_is_flown_or_warned_about(own: str, options: dict[str, str]) -> None:
     code = [f"custom.{own}=mine:f"]
     flown, named = resolve("escort", changes=code, **options)
     assert (foreign_code(flown, named), scenario_warnings(flown)) == ((), ())
@@ -327,7 +327,7 @@ def test_a_vehicle_without_a_name_gets_the_next_one(tmp_path):
     assert [ugv.name for ugv in scenario.ugv] == ["ugv_0", "ugv_1"]
 
 
-def test_answers_in_wrong_units_are_counted_or_told_once(tmp_path, monkeypatch, caplog):
+def test_commands_in_wrong_units_are_counted_or_reported_once(tmp_path, monkeypatch, caplog):
     (tmp_path / "units.py").write_text(
         "class Rows:\n    def predict(self, row):\n        return (5.0, 0.0)\n\nrows = Rows()\n\n"
         "def wheel(observation, briefing):\n    return (5.0, 0.0)\n"
@@ -339,7 +339,7 @@ def test_answers_in_wrong_units_are_counted_or_told_once(tmp_path, monkeypatch, 
     assert flight.answers.shortened == {"uav_0": 0, "ugv_0": 40}
     assert summary.faults == {"ugv_0": {"command beyond its bound": 40}}
     flight, summary = fly(msgspec.structs.replace(scenario, custom=Custom(policy="units:wheel")), 7)
-    # it is kept within its bounds on board
+    # on board it is limited to its bounds
     assert flight.answers.shortened == {"uav_0": 0, "ugv_0": 0}
     first, second = (record.getMessage() for record in caplog.records)
     assert first == (
@@ -350,7 +350,7 @@ def test_answers_in_wrong_units_are_counted_or_told_once(tmp_path, monkeypatch, 
 
 
 @pytest.mark.parametrize("law", [law.name for law in LAWS.values() if not law.own])
-def test_no_law_of_ours_asks_for_more_than_its_bound(law):
+def test_no_builtin_law_exceeds_its_bound(law):
     scenario = load_scenario("escort", overrides={"duration": 20.0, "law.name": law})
     flight, summary = fly(scenario, 7)
     assert flight.answers.shortened == {"uav_0": 0, "ugv_0": 0}
@@ -358,26 +358,26 @@ def test_no_law_of_ours_asks_for_more_than_its_bound(law):
 
 
 class Hover:
-    """The pilot of docs/how-to/own-code.md: it reports nothing."""
+    """The pilot of docs/how-to/own-code.md, which reports no estimate."""
 
     def act(self, observation):
-        (look, *_) = observation.detections or [None]
-        x, y = look.relative_position if look else (0.0, 0.0)
+        (detection, *_) = observation.detections or [None]
+        x, y = detection.relative_position if detection else (0.0, 0.0)
         v_x, v_y = observation.velocity
         return UavCommand(tick=observation.tick, acceleration=(-0.2 * x - v_x, -0.2 * y - v_y))
 
 
 def test_external_uav_is_not_titled_with_a_law(tmp_path):
-    told = []
+    notices: list[str] = []
     scenario = load_scenario("escort", overrides={"duration": 5.0})
-    flight = Flight(scenario, 7, on_notice=told.append)
+    flight = Flight(scenario, 7, on_notice=notices.append)
     recorder = FlightRecorder(tmp_path / "own.mcap", scenario, 7)
     exchange = Piloted(make_pilots(scenario, 7), "uav_0", Hover().act)
     flight.fly(exchange, on_tick=lambda: recorder.tick(flight))
     recorder.close()
     summary = summarize(flight, seconds=1.0)
     assert (summary.law, summary.certified_share, summary.uncertified) == ("external", None, {})
-    (line,) = told
+    (line,) = notices
     assert line.startswith("uav_0 receives detections but reports no estimate: your own program")
     recording = flight_of(tmp_path / "own.mcap")
     assert external_uavs(recording) == {"uav_0"}
@@ -388,13 +388,13 @@ def test_external_uav_is_not_titled_with_a_law(tmp_path):
 
 
 def test_blind_built_in_pilot_is_not_called_external():
-    dark = {"duration": 3.0, "links.detections.blackouts": [[0.0, 10.0]]}
-    _, summary = fly(load_scenario("escort", overrides=dark), 7)
+    blind = {"duration": 3.0, "links.detections.blackouts": [[0.0, 10.0]]}
+    _, summary = fly(load_scenario("escort", overrides=blind), 7)
     assert summary.law == "certified"
     assert summary.uncertified == {"NO_REPORT": 60}
 
 
-def test_ctrl_c_is_told_in_one_line_however_early_it_comes(monkeypatch, command):
+def test_early_ctrl_c_is_reported_in_one_line(monkeypatch, command):
     from outrider.cli import doctor
     from outrider.cli import main as module
 

@@ -1,4 +1,4 @@
-"""UGVs without a UAV: the baseline that shows what the escort is worth."""
+"""UGVs without a UAV: the baseline for the value of the escort."""
 
 import functools
 import json
@@ -40,7 +40,7 @@ from sim.server.flight import Flight
 
 @functools.cache
 def alone() -> Scenario:
-    """The minefield without a UAV; loading it draws hazards, which is compiled: not where tests are collected."""
+    """Return the minefield without a UAV; loading it compiles, which must not happen during collection."""
     return load_scenario("minefield", overrides=["uav=[]", "duration=15.0"])
 
 
@@ -69,7 +69,7 @@ def test_ugv_alone_flies_alike_in_run_environment_and_batch(flown) -> None:
     assert flight.world.position[0].tolist() != list(alone().ugv[0].position)
 
 
-def test_a_ugv_alone_drives_as_one_whose_uav_says_nothing() -> None:
+def test_ugv_alone_drives_like_one_with_a_silent_uav() -> None:
     silent = load_scenario("minefield", overrides=["ground.map_update_rate=0.0", "duration=40.0"])
     alone = msgspec.structs.replace(silent, uav=())
     assert np.array_equal(positions(alone, [1, 2]), positions(silent, [1, 2]))
@@ -82,12 +82,12 @@ def test_two_processes_and_one_drive_the_same_bits() -> None:
 
 def test_the_summary_says_nothing_of_an_escort(flown, capsys) -> None:
     _, _, summary = flown
-    told = json.loads(msgspec.json.encode(summary))
+    fields = json.loads(msgspec.json.encode(summary))
     escort = ("law", "max_distance", "mean_distance", "switching_radius", "initial_error")
     escort += ("mean_error", "final_error", "estimate_rmse", "detection_rmse", "certified_share")
-    assert {name: told[name] for name in escort} == dict.fromkeys(escort)
-    assert told["visibility_violations"] == told["crossings"] == told["detections"] == 0
-    assert told["mission"]["hazards_hit"] == 0
+    assert {name: fields[name] for name in escort} == dict.fromkeys(escort)
+    assert fields["visibility_violations"] == fields["crossings"] == fields["detections"] == 0
+    assert fields["mission"]["hazards_hit"] == 0
     console.print_summary(summary, [])
     table = capsys.readouterr().out
     assert "no UAV" in table
@@ -146,7 +146,7 @@ def test_a_sweep_flies_a_ugv_alone_but_no_laws_over_it() -> None:
         lay_out(Sweep(scenario="minefield", laws=("circle",), set=alone, block=(block,)))
 
 
-def test_what_is_declared_for_uavs_is_nothing_without_one() -> None:
+def test_uav_declarations_have_no_effect_without_a_uav() -> None:
     changes = ["uav=[]", "certificate.max_command_interval=1.0", "law.name=path", "duration=2.0"]
     scenario = load_scenario("minefield", overrides=changes)
     windy = msgspec.structs.replace(scenario, wind=Wind(mean=(0.05, 0.0)), links=LinkTable())

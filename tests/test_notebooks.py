@@ -1,4 +1,4 @@
-"""The notebooks in examples run from the first cell to the last."""
+"""The notebooks in examples run from the first to the last cell."""
 
 import json
 import os

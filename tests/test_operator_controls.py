@@ -1,4 +1,4 @@
-"""The operators' controls, with real sessions: laws, drivers, speed and new flights while the vehicles fly."""
+"""The operators' controls, with real sessions: laws, drivers, speed and resets during a run."""
 
 import threading
 import time
@@ -18,7 +18,7 @@ from outrider.running.assumptions import assumption_warnings
 from outrider.running.flying import fly
 from processes import wait_until
 from sim.scenario.loading import load_scenario
-from staging import stage, whole
+from staging import local_flight, stage
 
 
 def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:
@@ -34,18 +34,18 @@ def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:
 
         flight = run.fly(operator=work)
     tick = run.server.changes[0].tick
-    before = whole(tick).recorder.states
+    before = local_flight(tick).recorder.states
     assert np.array_equal(flight.recorder.states[:tick, :, :4], before[:tick, :, :4])
     assert not np.array_equal(
         flight.recorder.states[: tick + 60, 0, :2],
-        whole(tick + 60).recorder.states[: tick + 60, 0, :2],
+        local_flight(tick + 60).recorder.states[: tick + 60, 0, :2],
     )
     assert flight.recorder.escorts[-1, 0, 0] < 0.6  # it hovers over its UGV
     assert any(f"operator: law tracking at tick {tick}" in event for event in run.events)
 
 
 @pytest.mark.parametrize(
-    ("control", "told"),
+    ("control", "phrase"),
     [
         (Control(action=Action.LAW, law=Law(name="fancy")), "fancy"),
         (Control(action=Action.LAW), "law: missing"),
@@ -55,7 +55,7 @@ def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:
         (Control(action=Action.DRIVER), "driver"),
     ],
 )
-def test_impossible_control_is_refused_and_changes_nothing(control, told, tmp_path):
+def test_impossible_control_is_refused_and_changes_nothing(control, phrase, tmp_path):
     with stage(tmp_path, 300) as run:
         run.start_both()
         refused = threading.Event()
@@ -69,9 +69,9 @@ def test_impossible_control_is_refused_and_changes_nothing(control, told, tmp_pa
             lambda: wait_until(refused.is_set) if run.server.flight.world.tick == 100 else None,
             operator=work,
         )
-    assert flight.recorder.sha256() == whole(300).recorder.sha256()
+    assert flight.recorder.sha256() == local_flight(300).recorder.sha256()
     assert "is rejected" in run.events[0]
-    assert told in run.events[0]
+    assert phrase in run.events[0]
     assert not run.server.changes
 
 
@@ -81,7 +81,7 @@ def test_changed_link_reports_the_broken_assumption(tmp_path: Path) -> None:
         assert run.server.status(0.0).warnings == ()
         flight.order(Law(name="tracking"))
         flight.degrade(LinkKind.COMMANDS, None, LinkSettings(delay=0.3))
-        assert run.server.status(0.0).warnings == ()  # this law promises nothing
+        assert run.server.status(0.0).warnings == ()  # this law guarantees nothing
         flight.order(Law(name="certified"))
         (line,) = run.server.status(0.0).warnings
         assert "A5" in line
@@ -101,7 +101,7 @@ def test_reset_starts_a_flight_with_new_seed_and_pilots(tmp_path: Path) -> None:
                 send(Control(action=Action.RESET, seed=seed))
                 status(lambda s, seed=seed: s.seed == seed and s.changes)
 
-        def slowly() -> None:  # no flight but the last ends before its operator has acted
+        def slowly() -> None:  # no run but the last ends before its operator has acted
             if run.server.flight.seed != 8:
                 time.sleep(0.02)
 
@@ -111,7 +111,7 @@ def test_reset_starts_a_flight_with_new_seed_and_pilots(tmp_path: Path) -> None:
     assert (flight.seed, flight.episode) == (8, 2)
     assert flight.answers.first_missing is None
     assert status.vehicles["uav_0"].lost == 0
-    # of the last flight: the pilot before is gone
+    # of the last run: the previous pilot has ended
     assert [seen.tick for seen in vehicles[0].seen] == list(range(400))
     assert {seen.episode for seen in vehicles[0].seen} == {2}
     assert flight.recorder.sha256() == fly(flight.scenario, 8)[0].recorder.sha256()
@@ -129,23 +129,23 @@ def test_changed_speed_changes_no_bit(tmp_path: Path) -> None:
             slow.append(status(lambda s: s.target_factor is None).target_factor)
             done.set()
 
-        done = threading.Event()  # until then a tick takes long: the flight does not end before
+        done = threading.Event()  # until then a tick takes long: the run does not end earlier
         flight = run.fly(lambda: done.wait(0.02) and None, operator=work)
     assert slow == [5.0, None]
     assert flight.complete
     if flight.answers.first_missing is None:
-        assert flight.recorder.sha256() == whole(600).recorder.sha256()
+        assert flight.recorder.sha256() == local_flight(600).recorder.sha256()
 
 
 def test_operator_takes_over_drives_and_hands_back(tmp_path: Path) -> None:
-    """Through the bus, the simulator and the UGV's own driver: bounded, braking in silence, without a jump."""
+    """Through the bus, the simulator and the UGV's driver: bounded, braking without messages, without a jump."""
     with stage(tmp_path, 100_000, realtime=4.0) as run:
         run.start_both()
         seen: dict[str, int] = {}
 
         def work(send: Any, status: Any) -> None:
-            wheel = run.client("operator").outbox(OPERATOR, "ugv_0")
-            wait_until(lambda: wheel.wanted)
+            teleoperation = run.client("operator").outbox(OPERATOR, "ugv_0")
+            wait_until(lambda: teleoperation.wanted)
             before = status(lambda s: s.tick > 100)
             assert before.drivers == {"ugv_0": "waypoints"}
             for operator in ("someone_else", "a_person"):
@@ -155,7 +155,7 @@ def test_operator_takes_over_drives_and_hands_back(tmp_path: Path) -> None:
             seen["taken"] = taken.tick
             limit = time.monotonic() + 30.0
             while run.server.flight.world.velocity[1, 1] > -0.195 and time.monotonic() < limit:
-                wheel.send(Teleoperation(operator="a person", velocity=(0.0, -1e5)))
+                teleoperation.send(Teleoperation(operator="a person", velocity=(0.0, -1e5)))
                 wait_until(
                     lambda tick=run.server.flight.world.tick: (
                         run.server.flight.world.tick > tick + 2
@@ -185,7 +185,7 @@ def test_operator_takes_over_drives_and_hands_back(tmp_path: Path) -> None:
 
 
 def change(flight: Any) -> None:
-    """Controls by operators at fixed ticks of a flight."""
+    """Send operators' controls at fixed ticks of a run."""
     tick = flight.world.tick
     if tick == 60:
         flight.assign_driver("ugv_0", "wander")
@@ -206,4 +206,4 @@ def test_rejoined_vehicle_knows_changes_and_messages(victim, tmp_path):
         flight = run.fly(lambda: change(run.server.flight))
     assert flight.answers.first_missing is None
     assert flight.recorder.sha256() == expected.recorder.sha256()
-    assert flight.recorder.sha256() != whole(400).recorder.sha256()
+    assert flight.recorder.sha256() != local_flight(400).recorder.sha256()

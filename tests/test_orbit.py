@@ -1,4 +1,4 @@
-"""Virtual point tracking, (20) to (25): the circle, how fast it may be, and paths of one's own."""
+"""Virtual point tracking, (20) to (25): the circle, its largest rate, and user paths."""
 
 import math
 
@@ -33,7 +33,7 @@ Point = tuple[tuple[float, float], tuple[float, float]]
 
 
 def _after_a_second(a_x: float, a_y: float) -> tuple[float, float]:
-    """Twice the way [m] of a double integrator from rest, which is its acceleration [m/s²]."""
+    """Return twice the distance [m] that a double integrator covers from rest, which is its acceleration [m/s²]."""
     p_x, p_y, *_ = step_vehicle(0.0, 0.0, 0.0, 0.0, a_x, a_y, math.inf, math.inf, 1.0)
     return 2.0 * p_x, 2.0 * p_y
 
@@ -93,14 +93,14 @@ def test_the_largest_rate_exhausts_the_speed_or_the_acceleration(r_pv, v_a, v_g,
 
 
 def _round_trip(law: Law, duration: float = 160.0) -> Scenario:
-    """The UGV drives straight at its largest speed; the UAV starts on the circle."""
+    """Fly with a UGV that drives straight at full speed; the UAV starts on the circle."""
     ugv = Ugv(position=(10.0, 10.0), velocity=(V_G, 0.0), goals=((55.0, 10.0),))
     area = Area(width=60.0, height=20.0, cell=0.5)
     return escort(law, uav=Uav(position=(10.0 + R_S, 10.0)), ugv=ugv, area=area, duration=duration)
 
 
 def _path_error(flight: Flight, omega: float) -> FloatGrid:
-    """p_a - p_d at each tick [m]."""
+    """Return p_a - p_d at each tick [m]."""
     uav, ugv = tracks(flight)
     wanted = [
         desired_position(x, y, *circle(k * DT, R_S, omega)[:2])
@@ -128,7 +128,7 @@ def test_the_papers_rate_collapses_the_circle() -> None:
     assert summary.mean_distance < 1.0
 
 
-def test_a_radius_of_ones_own_is_flown() -> None:
+def test_user_radius_is_flown() -> None:
     flight, _ = fly(
         _round_trip(Law(name="circle", parameters={"circle_rate": 0.1, "circle_radius": 1.5})), 0
     )
@@ -205,8 +205,8 @@ BAD: dict[str, tuple[Path, str]] = {
 }
 
 
-@pytest.mark.parametrize(("path", "says"), BAD.values(), ids=BAD.keys())
-def test_what_is_no_path_is_refused_with_the_time(path: Path, says: str) -> None:
+@pytest.mark.parametrize(("path", "phrase"), BAD.values(), ids=BAD.keys())
+def test_what_is_no_path_is_refused_with_the_time(path: Path, phrase: str) -> None:
     with pytest.raises(ScenarioError, match=r"^path at t = [\d.]+ s") as refused:
         _check(path)
-    assert says in str(refused.value)
+    assert phrase in str(refused.value)

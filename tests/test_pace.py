@@ -1,4 +1,4 @@
-"""Lockstep and a router that dies: Zenoh may tell that the vehicles are gone before it tells that their router is."""
+"""Lockstep and a dying router: Zenoh may report the loss of the vehicles before that of their router."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -21,7 +21,7 @@ SEEN = {
 class Bus:
     """A session and slots that follow a timetable.
 
-    Until when [s], which routers are there, which vehicles are absent.
+    Each row holds the time until which it is valid [s], the present routers, and the absent vehicles.
     """
 
     def __init__(self, *timetable: tuple[float, set[str], set[str]]) -> None:
@@ -29,9 +29,9 @@ class Bus:
         self.started = time.monotonic()
         self._briefed = set(NAMES)
         self.commands = self
-        self.refuses_to_answer: set[str] = set()
+        self.silent: set[str] = set()
         self.sent: list[str] = []
-        self._asked: list[str] = []
+        self._requested: list[str] = []
 
     def _now(self) -> tuple[float, set[str], set[str]]:
         elapsed = time.monotonic() - self.started
@@ -57,14 +57,14 @@ class Bus:
     def send(self, observations: Mapping[str, Any]) -> set[str]:
         given = set(observations) - self._now()[2]
         self._briefed |= given
-        self._asked += sorted(given - self.refuses_to_answer)
+        self._requested += sorted(given - self.silent)
         self.sent += sorted(given)
         return given
 
     def receive(self, patience: float) -> Any:
-        self._asked = [name for name in self._asked if name not in self._now()[2]]
-        if self._asked:
-            return SimpleNamespace(sender=self._asked.pop(0))
+        self._requested = [name for name in self._requested if name not in self._now()[2]]
+        if self._requested:
+            return SimpleNamespace(sender=self._requested.pop(0))
         time.sleep(min(patience, 0.01))
         return None
 
@@ -82,18 +82,18 @@ BEGIN, END = [(0.05, {"r"}, set()), (0.15, {"r"}, BOTH), (0.5, set(), BOTH)], (9
 TIMETABLES = {
     "tokens first": [*BEGIN, (0.8, {"s"}, BOTH), END],
     "one comes back late": [*BEGIN, (0.8, {"s"}, {"uav_0"}), END],
-    "so fast that nobody saw it": [(0.2, {"r"}, set()), (0.6, {"s"}, BOTH), END],
+    "too fast to be noticed": [(0.2, {"r"}, set()), (0.6, {"s"}, BOTH), END],
 }
 
 
 @pytest.mark.parametrize("timetable", TIMETABLES.values(), ids=TIMETABLES)
-def test_vehicles_that_went_with_their_router_are_waited_for(timetable: Any) -> None:
+def test_vehicles_lost_with_their_router_are_awaited(timetable: Any) -> None:
     events: list[str] = []
     bus = Bus(*timetable)
-    bus.refuses_to_answer = set(NAMES)  # what was asked of them before went with the router
+    bus.silent = set(NAMES)  # the earlier requests were lost with the router
     pace = lockstep(bus, events.append)
     pace.publish(SEEN)
-    bus.refuses_to_answer = set()
+    bus.silent = set()
     commands = pace.collect(0, lambda: False)
     assert set(commands) == set(NAMES)
     assert events[-1] == "router reconnected"
@@ -101,12 +101,12 @@ def test_vehicles_that_went_with_their_router_are_waited_for(timetable: Any) -> 
 
 def test_vehicle_answered_before_router_death_is_awaited_next() -> None:
     bus = Bus((0.3, {"r"}, set()), (0.5, set(), BOTH), (0.8, {"s"}, {"uav_0"}), (9.0, {"s"}, set()))
-    bus.refuses_to_answer = {"ugv_0"}
+    bus.silent = {"ugv_0"}
     pace = lockstep(bus, lambda _line: None)
     pace.publish(SEEN)
-    bus.refuses_to_answer = set()
+    bus.silent = set()
     assert set(pace.collect(0, lambda: False)) == set(NAMES)
-    assert time.monotonic() - bus.started < 0.79  # the UGV was back before the UAV
+    assert time.monotonic() - bus.started < 0.79  # the UGV returned before the UAV
     pace.publish(SEEN)
     assert set(pace.collect(1, lambda: False)) == set(NAMES)
 
@@ -129,7 +129,7 @@ def test_dead_vehicle_is_awaited_in_the_first_tick_alone(
     bus = Bus((9.0, {"r"}, {"uav_0"}))
     pace = lockstep(bus, events.append)
     bus.timetable = ((0.1, {"r"}, set()), (9.0, {"r"}, {"uav_0"}))
-    bus.refuses_to_answer = {"uav_0"}
+    bus.silent = {"uav_0"}
     pace.publish(SEEN)
     started = time.monotonic()
     assert set(pace.collect(tick, lambda: False)) == {"ugv_0"}

@@ -1,4 +1,4 @@
-"""The pilots: the UGV's way along its goals, and what the UAV makes of its own observations."""
+"""The pilots: the UGV's motion along its goals, and the UAV's commands from its own observations."""
 
 import math
 from itertools import pairwise
@@ -15,7 +15,19 @@ from agents.ugv import UgvPilot
 from bus.errors import ScenarioError
 from bus.messages.scenario import Limits, Sensor
 from bus.messages.vehicle import UavCommand, UgvObservation
-from flights import DT, HERE, R_V, U_A, U_G, V_G, escort, told, told_ugv, tracks, uav_sees
+from flights import (
+    DT,
+    HERE,
+    R_V,
+    U_A,
+    U_G,
+    V_G,
+    briefing_of,
+    escort,
+    tracks,
+    uav_sees,
+    ugv_briefing,
+)
 from outrider.running.flying import InProcess, fly, make_pilots
 from properties import PROPERTY
 from sim.engine.briefing import briefing
@@ -32,12 +44,12 @@ ticks = st.sampled_from((0.02, DT, 0.2))
 
 def _driver(goals, *, v_max=V_G, u_max=U_G, dt=DT, tolerance=0.05):
     limits = Limits(max_speed=v_max, max_acceleration=None if math.isinf(u_max) else u_max)
-    told = told_ugv(dt=dt, limits=limits, goals=goals, goal_tolerance=tolerance)
-    return CompiledDriver(told, "waypoints")
+    briefed = ugv_briefing(dt=dt, limits=limits, goals=goals, goal_tolerance=tolerance)
+    return CompiledDriver(briefed, "waypoints")
 
 
 def _drive(driver, start, count, *, v_max=V_G, u_max=U_G, dt=DT):
-    """p, v and the command before its bound at each tick, from rest."""
+    """Return p, v and the command before its bound at each tick, from rest."""
     state, rows = (*start, 0.0, 0.0), []
     for tick in range(count):
         own = {"position": tuple(state[:2]), "velocity": tuple(state[2:])}
@@ -48,13 +60,13 @@ def _drive(driver, start, count, *, v_max=V_G, u_max=U_G, dt=DT):
 
 
 def _along(rows: np.ndarray, start: Point, goal: Point) -> tuple[np.ndarray, np.ndarray]:
-    """Way to go along the line from start to goal, and distance from that line [m]."""
+    """Return the remaining distance along the line from start to goal, and the distance from that line [m]."""
     (a, b), g = np.subtract(goal, start) / max(math.dist(start, goal), 1e-300), rows[:, :2] - goal
     return -(g @ (a, b)), np.abs(g @ (-b, a))
 
 
 def _ticks_for(way: float, v_max: float, u_max: float, dt: float) -> int:
-    """Enough for the way, gathering speed and braking."""
+    """Return enough ticks for the distance, with acceleration and braking."""
     return math.ceil((way / v_max + 2.0 * v_max / u_max) / dt) + 400
 
 
@@ -122,15 +134,15 @@ def test_an_unknown_driver_law_or_sensor_is_named() -> None:
     with pytest.raises(ScenarioError, match=r"driver = 'nobody': unknown; allowed: .*waypoints"):
         UgvPilot(briefing(escort(ugv=Ugv(position=HERE, driver="nobody")), "ugv_0", 0))
     with pytest.raises(ScenarioError, match=r"law.name = 'best': unknown; allowed: .*logarithmic"):
-        UavPilot(told(escort("best")))
+        UavPilot(briefing_of(escort("best")))
     with pytest.raises(
         ScenarioError, match=r"sensor.model = 'eye': unknown; allowed: hill, plateau"
     ):
-        UavPilot(told(escort(sensor=Sensor(model="eye"))))
+        UavPilot(briefing_of(escort(sensor=Sensor(model="eye"))))
 
 
 def test_before_the_first_detection_the_uav_brakes() -> None:
-    command = UavPilot(told(escort())).act(uav_sees(0, velocity=(0.3, 0.4)))
+    command = UavPilot(briefing_of(escort())).act(uav_sees(0, velocity=(0.3, 0.4)))
     assert command.acceleration == pytest.approx((-0.6 * U_A, -0.8 * U_A), rel=1e-12)
     assert command.report is None
 
@@ -145,12 +157,14 @@ def test_a_uav_that_never_sees_its_ugv_stands_still() -> None:
 
 def test_the_uavs_command_is_within_its_bound() -> None:
     for law in ("tracking", "switching", "logarithmic", "circle"):
-        u_x, u_y = UavPilot(told(escort(law))).act(uav_sees(0, (0.0, (R_V, 1.0)))).acceleration
+        u_x, u_y = (
+            UavPilot(briefing_of(escort(law))).act(uav_sees(0, (0.0, (R_V, 1.0)))).acceleration
+        )
         assert norm(u_x, u_y) <= U_A * (1.0 + 1e-15)
 
 
-def test_the_uav_reports_where_it_believes_the_ugv_to_be() -> None:
-    command = UavPilot(told(escort())).act(uav_sees(0, (0.0, (1.5, -2.0))))
+def test_uav_reports_its_estimate_of_the_ugv() -> None:
+    command = UavPilot(briefing_of(escort())).act(uav_sees(0, (0.0, (1.5, -2.0))))
     assert command.report is not None
     assert command.report.estimate == (18.5, 22.0)
     assert command.radio[0].relative_position == (1.5, -2.0)
@@ -158,7 +172,7 @@ def test_the_uav_reports_where_it_believes_the_ugv_to_be() -> None:
 
 def test_the_same_observations_get_the_same_commands() -> None:
     def answers(seed: int) -> list[UavCommand]:
-        pilot = UavPilot(told(escort("logarithmic"), seed))
+        pilot = UavPilot(briefing_of(escort("logarithmic"), seed))
         return [pilot.act(uav_sees(tick, (tick * DT, (0.0, 0.0)))) for tick in range(50)]
 
     assert answers(3) == answers(3)
@@ -169,11 +183,11 @@ def test_the_same_observations_get_the_same_commands() -> None:
 def test_the_uavs_own_map_is_the_worlds(sensor: str) -> None:
     ugv = Ugv(position=HERE, goals=((25.0, 23.0),))
     noisy = Detections(noise=0.1, dropout=0.2)
-    told = {"sensor": Sensor(model=sensor), "detections": noisy, "duration": 30.0}
-    scenario = escort("logarithmic", ugv=ugv, **told)
+    changes = {"sensor": Sensor(model=sensor), "detections": noisy, "duration": 30.0}
+    scenario = escort("logarithmic", ugv=ugv, **changes)
     flight, pilots = Flight(scenario, 1), make_pilots(scenario, 1)
     flight.fly(InProcess(pilots))
     pilot = pilots["uav_0"]
     assert isinstance(pilot, UavPilot)
-    pilot.act(flight.observations()["uav_0"])  # it has not looked from its last place yet
+    pilot.act(flight.observations()["uav_0"])  # it has not sensed from its last position yet
     assert pilot.coverage.tobytes() == flight.world.coverage.tobytes()

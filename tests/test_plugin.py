@@ -1,4 +1,4 @@
-"""The package in examples/plugin, installed beside Outrider: its command flies, its policy drives, its sink records."""
+"""The package in examples/plugin, installed beside Outrider: its command, policy, pilot and sink work."""
 
 import json
 import os
@@ -18,7 +18,7 @@ PLUGIN = Path(__file__).parents[1] / "examples" / "plugin"
 
 @pytest.fixture
 def installed(tmp_path: Path) -> dict[str, str]:
-    """An environment in which the package is installed, as `pip install` does it."""
+    """Return an environment in which the package is installed as by `pip install`."""
     project = tomllib.loads((PLUGIN / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     info = tmp_path / "site" / f"outrider_hover-{project['version']}.dist-info"
     info.mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""A law, a driver and a sensor of another package, as CONTRIBUTING.md adds them, fly wherever ours do."""
+"""A law, a driver and a sensor of another package, as in CONTRIBUTING.md, fly in every environment."""
 
 import json
 import os
@@ -20,7 +20,7 @@ GUIDE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 BLOCKS = dict(
     re.findall(r"```(?:python|toml)\n# (my_package/\S+|pyproject.toml)\n(.*?)```", GUIDE, re.DOTALL)
 )
-"""The files of the package, by their names."""
+"""The files of the package by name."""
 SCENARIO = """
 duration = 2.0
 [area]
@@ -72,7 +72,7 @@ print(json.dumps({"positions": loop.state.batch.vehicles["position"][0].tolist()
 
 
 def install(folder: Path, points: str = BLOCKS["pyproject.toml"]) -> Path:
-    """Put the package of the guide into a folder, with its entry points, as an installer does."""
+    """Install the guide's package with its entry points into a folder."""
     (folder / "my_package").mkdir(parents=True)
     (folder / "my_package" / "__init__.py").touch()
     for name, text in BLOCKS.items():
@@ -99,14 +99,14 @@ def with_package(folder: Path, **more: str) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A folder with the installed package and a scenario that needs it."""
+    """Return a folder with the installed package and a scenario that needs it."""
     folder = install(tmp_path_factory.mktemp("installed"))
     (folder / "plugged.toml").write_text(SCENARIO, encoding="utf-8")
     return folder
 
 
 def answer(package: Path, code: str) -> dict[str, Any]:
-    """The JSON object that a program prints with the package, given the scenario."""
+    """Return the JSON output of a program that uses the package and the scenario."""
     done = python(code, str(package / "plugged.toml"), env=with_package(package), cwd=package)
     found: dict[str, Any] = json.loads(done.stdout)
     return found
@@ -114,7 +114,7 @@ def answer(package: Path, code: str) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def flights(package: Path) -> dict[str, Any]:
-    """Flights in one process."""
+    """Return runs in one process."""
     return answer(package, FLIGHTS)
 
 
@@ -154,25 +154,25 @@ def test_check_knows_them(package: Path) -> None:
     own = {"env": with_package(package, COLUMNS="300"), "cwd": package}
     lines = python(code, str(package / "plugged.toml"), *REFUSED, **own).stderr.splitlines()
     assert len(lines) == len(REFUSED)
-    assert all(told in line for told, line in zip(REFUSED.values(), lines, strict=True)), lines
+    assert all(phrase in line for phrase, line in zip(REFUSED.values(), lines, strict=True)), lines
 
 
 @pytest.mark.parametrize(
-    ("points", "told"),
+    ("points", "phrase"),
     [
         ({"outrider.laws": {"gone": "my_package.rows:GONE"}}, "outrider.laws: 'gone' of my-package is ignored: module"),
         ({"outrider.laws": {"cone": "my_package.rows:CONE"}}, "is ignored: my_package.rows:CONE is not a LawRow"),
     ],
     ids=["nothing there", "another kind"],
 )  # fmt: skip
-def test_an_entry_point_that_names_no_row_is_ignored(tmp_path, points, told) -> None:
+def test_an_entry_point_that_names_no_row_is_ignored(tmp_path, points, phrase) -> None:
     group, named = next(iter(points.items()))
     ((name, where),) = named.items()
     text = f'[project.entry-points."{group}"]\n{name} = "{where}"\n'
     done = python(
         "import bus.registry", check=False, env=with_package(install(tmp_path / "p", text))
     )
-    assert told in done.stderr
+    assert phrase in done.stderr
 
 
 def test_compile_cache_depends_on_plugin_files_and_names(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Policies at the UGV's wheel: functions and objects of the user's own."""
+"""Policies that drive the UGV: functions and objects of the user."""
 
 import logging
 import math
@@ -17,7 +17,7 @@ from agents.drivers.policy import Policy, PolicyDriver, UgvRows
 from bus.errors import ScenarioError
 from bus.messages.vehicle import Command, UgvObservation
 from bus.observations import UGV, names
-from flights import DT, U_G, V_G, Piloted, told_ugv
+from flights import DT, U_G, V_G, Piloted, ugv_briefing
 from outrider.envs.env_pilots import pilots
 from outrider.running import user_modules
 from outrider.running.flying import make_pilots
@@ -31,14 +31,14 @@ from sim.server.flight import Flight
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The working folder."""
+    """Return the working folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     return tmp_path
 
 
 def _scenario() -> Scenario:
-    """A UGV that is fast enough to pass its goals, and then some."""
+    """Return a UGV that is fast enough to pass its goals."""
     changes = {
         "duration": 60.0,
         "ugv.0.max_speed": 0.5,
@@ -55,7 +55,7 @@ def _seen(
 
 
 class Model:
-    """An object with predict, as a user writes one."""
+    """An object with a method `predict`, as written by a user."""
 
     def __init__(self, answer: Callable[[Any], object]) -> None:
         self.rows: list[Any] = []
@@ -67,7 +67,7 @@ class Model:
 
 
 def _function(answer: Callable[[], object]) -> Policy:
-    return lambda observation, told: answer()
+    return lambda observation, briefing: answer()
 
 
 def _model(answer: Callable[[], object]) -> Policy:
@@ -77,13 +77,13 @@ def _model(answer: Callable[[], object]) -> Policy:
 KINDS = pytest.mark.parametrize("kind", [_function, _model])
 
 
-def _asked(
+def _acceleration_for(
     answer: object,
     kind: Callable[[Callable[[], object]], Policy] = _function,
     velocity: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[float, float]:
-    """The acceleration of a UGV whose policy answers so."""
-    driver = PolicyDriver(told_ugv(), policy=kind(lambda: answer), name="mine:drive")
+    """Return the acceleration of a UGV whose policy returns this answer."""
+    driver = PolicyDriver(ugv_briefing(), policy=kind(lambda: answer), name="mine:drive")
     return driver.drive(_seen(12, velocity=velocity))
 
 
@@ -93,7 +93,7 @@ def _asked(
     ids=lambda a: type(a).__name__,
 )
 def test_a_functions_answer_within_the_bounds_is_taken_as_it_is(answer: object) -> None:
-    assert _asked(answer) == (0.03, -0.01)
+    assert _acceleration_for(answer) == (0.03, -0.01)
 
 
 @pytest.mark.parametrize(
@@ -101,27 +101,29 @@ def test_a_functions_answer_within_the_bounds_is_taken_as_it_is(answer: object) 
     [(1, 1), (1e308, 1e308), (7e5, 7e5), np.array([3, 3]), np.array([5.0, 5.0], dtype=np.float32)],
 )
 def test_a_functions_answer_beyond_the_bound_is_shortened(answer: object) -> None:
-    assert _asked(answer) == pytest.approx((U_G / math.sqrt(2.0), U_G / math.sqrt(2.0)), rel=1e-12)
+    assert _acceleration_for(answer) == pytest.approx(
+        (U_G / math.sqrt(2.0), U_G / math.sqrt(2.0)), rel=1e-12
+    )
 
 
 def test_a_function_cannot_drive_beyond_the_largest_speed() -> None:
-    u_x, u_y = _asked((0.1, 0.0), velocity=(V_G, 0.0))
+    u_x, u_y = _acceleration_for((0.1, 0.0), velocity=(V_G, 0.0))
     assert (u_x, u_y) == pytest.approx((0.0, 0.0), abs=1e-12)
-    u_x, u_y = _asked((0.0, 0.1), velocity=(V_G, 0.0))
+    u_x, u_y = _acceleration_for((0.0, 0.1), velocity=(V_G, 0.0))
     assert norm(V_G + u_x * DT, u_y * DT) <= V_G * (1.0 + 1e-12)
     assert u_y > 0.09
 
 
 def test_a_function_is_given_the_observation_and_the_briefing() -> None:
-    told, given = told_ugv(), []
+    briefing, given = ugv_briefing(), []
 
     def policy(*seen: object) -> tuple[int, int]:
         given.append(seen)
         return 0, 0
 
     seen = _seen(4)
-    PolicyDriver(told, policy=policy, name="m:f").drive(seen)
-    assert given == [(seen, told)]
+    PolicyDriver(briefing, policy=policy, name="m:f").drive(seen)
+    assert given == [(seen, briefing)]
 
 
 @pytest.mark.parametrize(
@@ -129,7 +131,7 @@ def test_a_function_is_given_the_observation_and_the_briefing() -> None:
     [(0.3, -4.0), np.array([0.3, -4.0]), ((0.3, -4.0), None), (np.array([0.3, -4.0]), (1.0, 2.0))],
 )
 def test_prediction_is_passed_on_with_or_without_state(answer: object) -> None:
-    assert _asked(answer, _model) == (0.3, -4.0)
+    assert _acceleration_for(answer, _model) == (0.3, -4.0)
 
 
 NONSENSE = [
@@ -141,19 +143,19 @@ NONSENSE = [
 
 @KINDS
 @pytest.mark.parametrize("answer", NONSENSE, ids=range(len(NONSENSE)))
-def test_nonsense_is_named_in_one_line(answer: object, kind: Any) -> None:
+def test_invalid_answer_is_named_in_one_line(answer: object, kind: Any) -> None:
     with refused(
         ScenarioError, r"^policy = 'mine:drive': tick 12: returned .+; allowed: two finite numbers"
     ) as caught:
-        _asked(answer, kind)
+        _acceleration_for(answer, kind)
     assert len(str(caught.value)) < 250
     if isinstance(answer, tuple) and len(answer) == 3:
         assert "(0.1, 0.2, 0.3)" in str(caught.value)
 
 
-def test_what_was_predicted_may_not_be_more_than_a_message_holds() -> None:
+def test_prediction_too_large_for_a_message_is_refused() -> None:
     with refused(ScenarioError, r"returned \(2000000.0, 0.0\); allowed: two finite numbers"):
-        _asked((2e6, 0.0), _model)
+        _acceleration_for((2e6, 0.0), _model)
 
 
 @KINDS
@@ -161,7 +163,7 @@ def test_a_policy_that_raises_is_named_in_one_line(kind: Any) -> None:
     def broken() -> object:
         raise RuntimeError("no\nsuch weights")
 
-    driver = PolicyDriver(told_ugv(), policy=kind(broken), name="mine:broken")
+    driver = PolicyDriver(ugv_briefing(), policy=kind(broken), name="mine:broken")
     with refused(
         ScenarioError, r"^policy = 'mine:broken': tick 3: raised RuntimeError: no such weights"
     ) as caught:
@@ -202,7 +204,7 @@ def test_pilot_and_environment_have_the_same_observation_bits(scenario: Scenario
 
 def test_ugvs_that_share_a_policy_reach_goals_of_their_own() -> None:
     model = Model(lambda row: (0.0, 0.0))
-    first, other = (PolicyDriver(told_ugv(), policy=model, name="x") for _ in range(2))
+    first, other = (PolicyDriver(ugv_briefing(), policy=model, name="x") for _ in range(2))
     first.drive(_seen(0, 3.0, 4.0))
     other.drive(_seen(0))
     goals = [tuple(row[6:8]) for row in model.rows]
@@ -210,7 +212,7 @@ def test_ugvs_that_share_a_policy_reach_goals_of_their_own() -> None:
 
 
 def test_a_ugv_without_goals_has_a_row_too() -> None:
-    row = UgvRows(told_ugv(goals=())).row(_seen(4)).tolist()
+    row = UgvRows(ugv_briefing(goals=())).row(_seen(4)).tolist()
     assert row == [0.2, 10.0, 10.0, 0.1, -0.1, 0.0, 0.0, 0.0]
 
 
@@ -219,7 +221,7 @@ def test_slow_policy_is_reported_once_after_its_first_answer(
 ) -> None:
     clock = iter([0.0, 9.0, 10.0, 10.04, 20.0, 20.3, 30.0, 30.3])
     monkeypatch.setattr(time, "perf_counter", lambda: next(clock))
-    driver = PolicyDriver(told_ugv(), policy=Model(lambda row: (0.0, 0.0)), name="mine:slow")
+    driver = PolicyDriver(ugv_briefing(), policy=Model(lambda row: (0.0, 0.0)), name="mine:slow")
     with caplog.at_level(logging.WARNING, logger="outrider.policy"):
         for tick in range(4):
             driver.drive(_seen(tick))
@@ -234,7 +236,7 @@ def test_predicting_object_is_accepted_and_a_class_refused(here: Path) -> None:
         "class Model:\n    def predict(self, row):\n        return row[3:5]\nmodel = Model()\nnumber = 3\n"
     )
     model = load_function("mine_models:model", what="policy")
-    assert PolicyDriver(told_ugv(), policy=model, name="x").drive(_seen()) == (0.1, -0.1)
+    assert PolicyDriver(ugv_briefing(), policy=model, name="x").drive(_seen()) == (0.1, -0.1)
     for name in ("mine_models:Model", "mine_models:number"):
         with pytest.raises(
             ScenarioError,
@@ -260,7 +262,7 @@ def test_failing_import_is_named_in_one_line(here: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "phrase"),
     [
         ("queue:wheel", r"queue\.py in this folder is hidden by .*queue"),
         ("queue.py:wheel", r"queue\.py in this folder is hidden by .*queue"),
@@ -272,12 +274,12 @@ def test_failing_import_is_named_in_one_line(here: Path) -> None:
         ("needy:wheel", "No module named 'nowhere_at_all'"),
     ],
 )
-def test_an_object_that_is_not_found_is_told_with_its_file(name, told, here, monkeypatch):
+def test_missing_object_is_reported_with_its_file(name, phrase, here, monkeypatch):
     monkeypatch.setattr(sys, "path", sys.path.copy())
     for file in ("queue", "my_drivers"):
         (here / f"{file}.py").write_text("def wheel(observation, briefing):\n    return 0.1, 0.0\n")
     (here / "needy.py").write_text("import nowhere_at_all\n")
-    assert re.search(told, refusal(name))
+    assert re.search(phrase, refusal(name))
 
 
 def test_a_function_may_be_named_by_its_file(here: Path, monkeypatch) -> None:
@@ -290,7 +292,7 @@ def test_a_function_may_be_named_by_its_file(here: Path, monkeypatch) -> None:
 def test_module_search_order_is_library_folder_clone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A function tried in the clone, as the README has it, is not flown from elsewhere."""
+    """A function tried in the clone, as in the README, is not loaded from elsewhere."""
     clone, library, here = (tmp_path / name for name in ("clone", "library", "here"))
     for folder, modules in (
         (clone, ("tried", "kept")),

@@ -1,4 +1,4 @@
-"""Runs with real processes: one trajectory, however it is flown, and clean ends."""
+"""Runs with real processes: one trajectory in every environment, and clean ends."""
 
 import json
 import os
@@ -46,7 +46,7 @@ def _same_bits(name: str, seconds: float) -> None:
     [("escort", 50.0), ("scenario-2", 10.0)],
 )
 def test_three_processes_and_one_fly_the_same_bits(name: str, seconds: float) -> None:
-    """Those with hazards: tests/test_ground_flights.py."""
+    """Scenarios with hazards: tests/test_ground_flights.py."""
     _same_bits(name, seconds)
 
 
@@ -79,7 +79,7 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> N
     files = words("coverage.npy flight.png scenario.toml summary.json trajectory.csv")
     assert sorted(path.name for path in tmp_path.iterdir()) == files
     assert not any(alive(child) for child in children)
-    # what was flown is the beginning of the whole flight
+    # the flown part is the beginning of the whole run
     _, whole = fly(load_scenario("escort", overrides=[f"duration={summary['ticks'] * 0.05!r}"]), 7)
     assert whole.trajectory_sha256 == summary["trajectory_sha256"]
 
@@ -98,7 +98,7 @@ def test_a_run_flies_whatever_its_paths_are(name: str, tmp_path, monkeypatch) ->
 
 @pytest.mark.parametrize("closed", ["0 1", "0 1 2"])
 def test_a_run_does_not_need_its_standard_files(closed: str, tmp_path: Path) -> None:
-    """Their numbers are not those of its sockets and pipes then."""
+    """Sockets and pipes then have other descriptors."""
     closing = " ".join(f"{number}>&-" for number in closed.split())
     run = words("run escort --duration 1 --no-picture --out")
     shell = ["sh", "-c", f'exec "$@" {closing}', "sh", *OUTRIDER, *run, tmp_path / "mine"]
@@ -108,7 +108,7 @@ def test_a_run_does_not_need_its_standard_files(closed: str, tmp_path: Path) -> 
 
 
 def _ending(before: str) -> "subprocess.CompletedProcess[str]":
-    """The end of a command where this has been run before it."""
+    """Run the end of a command after this code."""
     code = f"import atexit, os, signal, sys, threading, time\nfrom outrider.cli.main import main\n{before}\n"
     return python(f"{code}sys.argv = ['outrider', '--version']\nmain()\n", check=False)
 
@@ -151,9 +151,9 @@ def test_dead_vehicle_brakes_and_is_named_by_the_run(tmp_path: Path) -> None:
     from outrider.recording.reader import statuses
 
     recorded = tmp_path / "run.mcap"
-    told = ["escort", *words("--duration 100 --no-picture --json --out"), str(tmp_path)]
-    told += ["--record", str(recorded)]
-    with flying(*told) as run:
+    options = ["escort", *words("--duration 100 --no-picture --json --out"), str(tmp_path)]
+    options += ["--record", str(recorded)]
+    with flying(*options) as run:
         children = family(run.pid)
         os.kill(child_of(run, "ugv"), signal.SIGKILL)
         out, err = run.communicate(timeout=60)
@@ -201,7 +201,7 @@ def test_a_vehicle_that_never_comes_is_named() -> None:
     assert "Traceback" not in run.stderr
 
 
-def test_what_lies_in_the_working_folder_takes_no_modules_place(tmp_path: Path) -> None:
+def test_files_in_the_working_folder_shadow_no_module(tmp_path: Path) -> None:
     for name in ("zenoh", "msgspec", "numba", "socket", "subprocess"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('hijacked')\n", encoding="utf-8")
     hostile = 'raise SystemExit(f"hijacked by {__name__}")\n'
@@ -212,7 +212,7 @@ def test_what_lies_in_the_working_folder_takes_no_modules_place(tmp_path: Path) 
     for name in ("agents", "sim", "bus", "outrider"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text(hostile, encoding="utf-8")
-    # `python -m outrider` is the folder's own outrider, if it has one
+    # `python -m outrider` runs the folder's own outrider, if it has one
     script = Path(sys.executable).with_name("outrider")
     arguments = words(
         "run --driver policy --set custom.policy=mine:policy --duration 1 --no-files --json"
@@ -223,7 +223,7 @@ def test_what_lies_in_the_working_folder_takes_no_modules_place(tmp_path: Path) 
 
 
 def test_the_next_start_removes_what_a_killed_run_left(monkeypatch) -> None:
-    """A run that is killed before it has started anything leaves its folder."""
+    """A killed run may leave its folder before it has started any process."""
     folder = Path(os.environ["TMPDIR"])
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
     with started("run", "escort", "--duration", "1", "--no-files") as run:
@@ -232,7 +232,7 @@ def test_the_next_start_removes_what_a_killed_run_left(monkeypatch) -> None:
         run.wait()
     with run_folder() as own:
         assert list(folder.glob("outrider-*/.lock")) == [own / ".lock"]
-        with run_folder() as other:  # a run that lives keeps its own
+        with run_folder() as other:  # a live run keeps its folder
             assert own.exists()
             assert other != own
 

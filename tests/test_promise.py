@@ -1,4 +1,4 @@
-"""Assumptions that links or detector cannot keep are told before the flight, each with its field."""
+"""Assumptions that links or detector cannot satisfy give a warning before the run, each with its field."""
 
 import re
 from typing import Any
@@ -64,13 +64,13 @@ A5' | SOMETIMES | links.only=[{vehicle="uav_0",commands={loss=0.1}}] | links.onl
 """)
 
 
-@pytest.mark.parametrize(("assumption", "how", "changes", "told"), BROKEN)
-def test_warning_names_assumption_field_and_frequency(assumption, how, changes, told):
+@pytest.mark.parametrize(("assumption", "how", "changes", "phrase"), BROKEN)
+def test_warning_names_assumption_field_and_frequency(assumption, how, changes, phrase):
     scenario = certified(*changes.split(" & "))
     found = [
         fault
         for fault in shortfalls(scenario)
-        if fault.assumption == assumption.removeprefix("none") and told in fault.line
+        if fault.assumption == assumption.removeprefix("none") and phrase in fault.line
     ]
     assert [fault.frequency for fault in found] == [Frequency[how]]
     assert found[0].line in assumption_warnings(scenario)
@@ -81,17 +81,17 @@ def test_warning_names_assumption_field_and_frequency(assumption, how, changes, 
 KEPT = [
     [],
     ["links.commands.delay=0.5"],
-    ["certificate.max_command_delay=0.3"],  # what comes early waits
+    ["certificate.max_command_delay=0.3"],  # early messages wait
     ["links.commands.delay=0.3", "links.commands.jitter=0.1"],
     ["links.commands.reorder=0.1", "links.commands.reorder_delay=0.2"],
-    ["links.commands.delay=0.02", "links.commands.jitter=0.01"],  # one tick, whatever the jitter
+    ["links.commands.delay=0.02", "links.commands.jitter=0.01"],  # one tick, with any jitter
     ["links.commands.delay=0.2", "links.commands.duplicates=0.5"],
     ["links.commands.bandwidth=20"],
-    ["links.commands.blackouts=[[300.0,20.0]]"],  # after the flight
+    ["links.commands.blackouts=[[300.0,20.0]]"],  # after the run
     ["links.detections.delay=1.0"],
     ["links.detections.duplicates=0.5"],
     ["links.detections.loss=0.1"],
-    ["links.detections.blackouts=[[30.0,1.0]]"],  # the newest is 1 s old, and no more
+    ["links.detections.blackouts=[[30.0,1.0]]"],  # the newest detection is exactly 1 s old
     ["links.detections.bandwidth=2.0"],
     ['links.only=[{vehicle="ugv_0",commands={loss=0.1}}]'],
     ["law.name=linear", "links.commands.loss=0.1"],
@@ -99,7 +99,7 @@ KEPT = [
 
 
 @pytest.mark.parametrize("changes", KEPT)
-def test_where_the_assumptions_are_kept_nothing_is_told(changes: list[str]) -> None:
+def test_satisfied_assumptions_give_no_warning(changes: list[str]) -> None:
     assert assumption_warnings(certified(*changes)) == ()
 
 
@@ -133,7 +133,7 @@ COMMANDS = [
 
 
 @pytest.mark.parametrize("settings", COMMANDS)
-def test_what_is_said_of_a_link_is_what_the_link_does(settings: LinkSettings) -> None:
+def test_description_of_a_link_matches_its_behaviour(settings: LinkSettings) -> None:
     ticks = 6_000
     link, p = OneLink(settings, dt=DT, key=a_key(1)), link_parameters(settings, DT)
     newest, ages, arrived = -1, np.zeros(ticks, dtype=int), np.full(ticks, 999)
@@ -160,7 +160,7 @@ def test_what_is_said_of_a_link_is_what_the_link_does(settings: LinkSettings) ->
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "phrase"),
     rows("""
 command_timeout=0.2 & links.commands.delay=0.25
 | command_timeout = 0.2: commands are 0.25 s old or more on arrival (links.commands of uav_0)
@@ -171,26 +171,26 @@ links.only=[{vehicle="uav_0",commands={delay=0.8,jitter=0.2}}]
 links.commands.bandwidth=10.0 & links.commands.queue=20 | allowed: 1 s or more
 """),
 )
-def test_permanently_late_commands_are_refused(changes, told):
-    """The third: hold is two ticks."""
+def test_permanently_late_commands_are_refused(changes, phrase):
+    """In the third case the command timeout is two ticks."""
     for law in ("linear", "certified"):
-        with refused(ScenarioError, re.escape(told)):
+        with refused(ScenarioError, re.escape(phrase)):
             load_scenario("escort", overrides=[f"law.name={law}", *changes.split(" & ")])
 
 
-def test_a_delay_that_hold_allows_is_flown() -> None:
-    for hold, delay in ((0.5, 0.5), (0.0, 0.0), (0.35, 0.35)):
-        changes = [f"command_timeout={hold}", f"links.commands.delay={delay}"]
-        assert load_scenario("escort", overrides=changes).command_timeout == hold
+def test_delay_within_the_command_timeout_is_flown() -> None:
+    for timeout, delay in ((0.5, 0.5), (0.0, 0.0), (0.35, 0.35)):
+        changes = [f"command_timeout={timeout}", f"links.commands.delay={delay}"]
+        assert load_scenario("escort", overrides=changes).command_timeout == timeout
 
 
-def test_check_says_that_nothing_can_be_certified(command) -> None:
+def test_check_reports_that_nothing_can_be_certified(command) -> None:
     changes = ("--set", "links.commands.delay=0.3", "--set", "certificate.max_command_delay=0.1")
     done = command("check", "escort", *changes)
     assert done.returncode == 0
     assert "hardly ever certified" in " ".join(done.stdout.split())
-    told = " ".join(done.stderr.split())
-    assert "links.commands.delay = 0.3: every command takes 0.3 s or longer" in told
+    text = " ".join(done.stderr.split())
+    assert "links.commands.delay = 0.3: every command takes 0.3 s or longer" in text
 
 
 def test_random_losses_warn_with_their_share_of_ticks() -> None:
@@ -210,8 +210,10 @@ def test_random_losses_warn_with_their_share_of_ticks() -> None:
     assert not shortfalls(
         certified("links.commands.loss=0.1", "certificate.max_command_interval=1.0")
     )
-    dark = certified("links.commands.blackouts=[[5.0,3.0]]", "certificate.max_command_interval=1.0")
-    assert [fault.frequency for fault in shortfalls(dark)] == [Frequency.CERTAIN]
+    blackout = certified(
+        "links.commands.blackouts=[[5.0,3.0]]", "certificate.max_command_interval=1.0"
+    )
+    assert [fault.frequency for fault in shortfalls(blackout)] == [Frequency.CERTAIN]
 
 
 SHARES: list[tuple[dict[str, Any], int, int, float]] = [
@@ -225,7 +227,7 @@ SHARES: list[tuple[dict[str, Any], int, int, float]] = [
 
 @pytest.mark.parametrize(("link", "period", "age", "dropout"), SHARES)
 def test_the_share_of_old_detections_is_that_of_the_link(link, period, age, dropout) -> None:
-    """Random blackouts may begin and end within a tick, so there the share is a bound."""
+    """Random blackouts may start and end within a tick, so that there the share is a bound."""
     settings, ticks = LinkSettings(**link), 100_000
     one, random = OneLink(settings, dt=DT, key=a_key(1)), np.random.default_rng(3)
     newest, old = 0, 0
@@ -244,7 +246,7 @@ def test_the_share_of_old_detections_is_that_of_the_link(link, period, age, drop
 def test_a_planned_blackout_is_late_where_it_hides_the_window() -> None:
     parameters = link_parameters(LinkSettings(loss=0.5, blackouts=((2.0, 0.5),)), DT)
     shares = late_shares(parameters, age_window(3), ticks=100)
-    assert shares[39 + 1] == 1.0  # of tick 39: the ticks 40 to 43 are hidden
+    assert shares[39 + 1] == 1.0  # of tick 39: the ticks 40 to 43 are covered
     assert shares[37 + 1] == 0.25
     assert set(shares[:30]) == {0.0625}
     assert len(shares) == 100 - 4 + 1

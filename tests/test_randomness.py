@@ -1,6 +1,6 @@
 """Counter-based random numbers.
 
-NumPy's Philox, every draw on its own, and the cut Gaussian vector against its theory.
+Draws match NumPy's Philox, are independent, and give a truncated Gaussian vector.
 """
 
 import math
@@ -39,7 +39,7 @@ SECRET = bytes(range(16)).hex()
 
 
 def _numpy_philox(key: tuple[int, int], counter: tuple[int, int, int, int]) -> tuple[int, ...]:
-    """The block of this counter; NumPy counts up before it draws."""
+    """Return the block of this counter; NumPy increments before it draws."""
     whole = sum(word << 64 * place for place, word in enumerate(counter))
     before = (whole - 1) % 2**256
     generator = np.random.Philox(key=key[0] | key[1] << 64, counter=before)
@@ -105,9 +105,11 @@ def test_cut_noise_never_goes_beyond_its_cut(sigma, cut, seed, tick):
 def test_key_is_blake2b_of_seed_purpose_vehicle_and_secret() -> None:
     keys = derive_keys((5, 2**53 - 1), 3, SECRET)
     assert keys.shape == (2, RUN_PURPOSES, 3, 2)
-    told = (2**53 - 1).to_bytes(8, "little") + (4).to_bytes(4, "little") + (2).to_bytes(4, "little")
+    message = (
+        (2**53 - 1).to_bytes(8, "little") + (4).to_bytes(4, "little") + (2).to_bytes(4, "little")
+    )
     digest = blake2b(
-        told, digest_size=16, key=bytes.fromhex(SECRET), person=b"outrider"
+        message, digest_size=16, key=bytes.fromhex(SECRET), person=b"outrider"
     ).hexdigest()
     assert derive_key(2**53 - 1, 4, 2, SECRET) == digest
     assert key_of(keys[1, :, 2], 4) == words_of(digest) == tuple(keys[1, 4, 2])

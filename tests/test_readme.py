@@ -1,4 +1,4 @@
-"""The README and the pages of docs show what is there."""
+"""The README and the pages of docs agree with the program."""
 
 import json
 import re
@@ -40,7 +40,7 @@ def test_the_examples_are_shown_as_they_are(example: str, page: str) -> None:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_prose_has_at_most_120_columns(page: str) -> None:
-    """But for tables, and blocks of code, whose lines one copies."""
+    """Tables and code blocks are exempt."""
     lines = re.sub(r"```.*?```", "", PAGES[page], flags=re.DOTALL).splitlines()
     assert [line for line in lines if len(line) > 120 and not line.startswith("|")] == []
 
@@ -73,16 +73,16 @@ def test_the_links_shown_can_be_flown(tmp_path: Path) -> None:
 
 
 def printed(page: str, capsys: pytest.CaptureFixture[str]) -> str:
-    """The output of the only Python of a page."""
+    """Return the output of the only Python block of a page."""
     (shown,) = blocks("python", page)
     run_shown(shown, page)
     return capsys.readouterr().out
 
 
 def test_the_filter_shown_keeps_sight(capsys: pytest.CaptureFixture[str]) -> None:
-    count, said = printed("docs/how-to/keep-sight.md", capsys).split(" ", 1)
+    count, rest = printed("docs/how-to/keep-sight.md", capsys).split(" ", 1)
     assert int(count) > 100
-    assert said == "commands were overridden; certified: True\n"
+    assert rest == "commands were overridden; certified: True\n"
 
 
 def test_the_filter_shown_certifies(capsys: pytest.CaptureFixture[str]) -> None:
@@ -153,7 +153,7 @@ def test_links_within_the_repository_lead_somewhere(page: str) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_names_and_paths_of_the_code_that_are_told_exist(page: str) -> None:
+def test_documented_names_and_paths_exist(page: str) -> None:
     ours = r"`((?:agents|sim|bus|outrider)(?:\.[A-Za-z_]\w*)+)"
     for name in set(re.findall(ours, PAGES[page])):
         parts = name.split(".")

@@ -1,4 +1,4 @@
-"""The paper's page shows every equation once, beside a function that exists and cites it."""
+"""The paper's page shows each equation once, beside an existing function that cites it."""
 
 import importlib
 import inspect
@@ -15,7 +15,7 @@ from pages import PAGES
 NUMBERED = re.compile(r"\((\d+)\)")
 EQUATIONS = [f"({number})" for number in range(1, 26)]
 WEIGHTS = {"α₁, β₁": r"\alpha_1, \beta_1", "α₂, β₂": r"\alpha_2, \beta_2"}
-"""The weightings that the paper prints without a number, and how their docstrings write them."""
+"""The weightings that the paper prints without a number, and their form in docstrings."""
 WRITTEN_IN = (
     "sim.models.vehicles",
     "sim.models.field",
@@ -54,7 +54,7 @@ def _load(path: str) -> Callable[..., object]:
 
 
 def _cited(function: object) -> list[str]:
-    """The equations that a docstring cites as its own, in its first line."""
+    """Return the equations that a docstring cites as its own, in its first line."""
     first = (inspect.getdoc(function) or "").partition("\n")[0]
     return [f"({number})" for number in re.findall(r"Klodt 2015, eq\. \((\d+)[ab]?\)", first)]
 

@@ -1,4 +1,4 @@
-"""The record of a flight: its hash as documented, and a file from which every number comes back."""
+"""The record of a run: its hash as documented, and a file that restores every number."""
 
 import csv
 import hashlib
@@ -23,7 +23,7 @@ from sim.server.flight import Flight
 
 @pytest.fixture(scope="module")
 def flight() -> Flight:
-    """With looks that fail and velocities of -0.0."""
+    """Fly with failed detections and velocities of -0.0."""
     return fly(wobbling(), 6)[0]
 
 
@@ -39,7 +39,7 @@ def wobbling(**changes: Any) -> Scenario:
 
 
 def _documented(flight: Flight, ticks: int) -> str:
-    """For each tick, each vehicle in name order: p and v at k, then the command applied during k; -0.0 as 0.0."""
+    """Hash for each tick and vehicle in name order p and v at k, and the command applied during k; -0.0 as 0.0."""
     digest = hashlib.sha256()
     for row in flight.recorder.states[:ticks].tolist():
         for vehicle in row:
@@ -68,7 +68,7 @@ def test_long_flight_grows_the_arrays_unchanged(
 
 
 def test_arrivals_are_detections_with_their_errors() -> None:
-    """Late, reordered and twice, held against the true positions when each was taken."""
+    """Compare late, reordered and duplicated detections with the true positions at their ticks."""
     late = LinkSettings(delay=0.3, jitter=0.3, duplicates=0.2, loss=0.2)
     flown = Flight(wobbling(links=LinkTable(detections=late)), 6)
     pilots = InProcess(make_pilots(flown.scenario, 6))
@@ -76,14 +76,14 @@ def test_arrivals_are_detections_with_their_errors() -> None:
     while flown.fly_tick(pilots):
         flown.take_down()
         arrival = flown.recorder.arrivals[0]
-        looks = looks_of(flown.world.received(0), DT)
+        detections = looks_of(flown.world.received(0), DT)
         errors = []
-        for taken, x, y in looks:
+        for taken, x, y in detections:
             (p_x, p_y), (g_x, g_y) = flown.recorder.states[taken, :, :2].tolist()
             errors.append(math.hypot(x - (p_x - g_x), y - (p_y - g_y)))
-        assert arrival["newest"] == max((one.taken for one in looks), default=NEVER)
+        assert arrival["newest"] == max((one.taken for one in detections), default=NEVER)
         assert arrival["error"] == pytest.approx(max(errors, default=0.0), abs=1e-12)
-        newest, silent = max(newest, len(looks)), silent + (not looks)
+        newest, silent = max(newest, len(detections)), silent + (not detections)
         largest = max(largest, arrival["error"])
         if flown.over:
             break
@@ -129,7 +129,7 @@ def test_the_file_gives_back_every_number_exactly(flight: Flight, tmp_path: Path
 
 
 def test_rows_of_a_long_flight_stay_the_same_in_a_file(monkeypatch) -> None:
-    """Room for 7 rows at a time instead of some thousands; without a file, too."""
+    """Store 7 rows at a time instead of thousands, with and without a file."""
     hashes = set()
     for room, full in ((100_000, False), (7, False), (7, True)):
         with monkeypatch.context() as patched:

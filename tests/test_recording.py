@@ -1,4 +1,4 @@
-"""Recordings: exact, whole after a kill up to the last half second, flown again to the same bits, drawn."""
+"""Recordings: exact, complete up to the last half second after a kill, flown again to the same bits, drawn."""
 
 import hashlib
 import json
@@ -86,7 +86,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight]:
 
 
 def plain(path: Path) -> dict[str, list[tuple[int, bytes]]]:
-    """The content of a file as the library `mcap` finds it by itself: time and data of each channel, in its order."""
+    """Return time and data of each channel in the order in which the library `mcap` reads the file."""
     found: dict[str, list[tuple[int, bytes]]] = {}
     with path.open("rb") as file:
         for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
@@ -143,7 +143,7 @@ def test_every_float_comes_back_exactly(flown: tuple[Path, Flight]) -> None:
         for n, name in enumerate(flight.world.names):
             vehicle = truth.vehicles[name]
             packed = struct.pack("<4d", *vehicle.position, *vehicle.velocity)
-            assert packed == states[k, n, :4].tobytes()  # -0.0 too
+            assert packed == states[k, n, :4].tobytes()  # also -0.0
             if k:
                 assert vehicle.acceleration == tuple(states[k - 1, n, 4:6])
         seen = truth.escorts[0]
@@ -179,7 +179,7 @@ def test_a_command_is_what_was_asked_for_before_the_bounds(tmp_path: Path) -> No
     asked = [(0.1 * k, -7.0 / 3.0) for k in range(30)]
     for k, u in enumerate(asked):
         flight.recorder.record(flight.answers.reports)
-        # beyond u_max; the UGV is silent and brakes in the end
+        # beyond u_max; the UGV receives nothing and finally brakes
         flight.apply({"uav_0": UavCommand(tick=k, acceleration=u)})
         recorder.tick(flight)
     flight.recorder.record(flight.answers.reports)
@@ -248,7 +248,7 @@ def test_the_map_is_the_ground(flown: tuple[Path, Flight]) -> None:
     assert (last.rows, last.columns) == flight.world.coverage.shape
 
 
-def test_status_and_log_tell_how_it_went(tmp_path: Path) -> None:
+def test_status_and_log_describe_the_run(tmp_path: Path) -> None:
     blind = escort("coverage", ugv=Ugv(position=(20.0, 21.0), goals=((30.0, 21.0),)), duration=60.0)
     path = tmp_path / "run.mcap"
     recorder = FlightRecorder(path, blind, 0)
@@ -261,10 +261,10 @@ def test_status_and_log_tell_how_it_went(tmp_path: Path) -> None:
 
     flight, _ = fly(blind, 0, on_tick=follow)
     recorder.close()
-    told = list(statuses(path))
-    assert told[-1].over
-    assert not told[0].over
-    assert told[-1].tick == flight.recorder.ticks
+    messages = list(statuses(path))
+    assert messages[-1].over
+    assert not messages[0].over
+    assert messages[-1].tick == flight.recorder.ticks
     log = plain(path)["/log"]
     assert any(b"everybody is here" in data and time == 50_000_000 for time, data in log)
     assert any(b"somebody coughed" in data and time == 5_000_000_000 for time, data in log)
@@ -321,7 +321,7 @@ fly(scenario, 3, on_tick=follow)
 
 @pytest.fixture(scope="module")
 def killed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[int, float]], float]:
-    """A recording whose process was killed with SIGKILL, when it was where, and when it was killed."""
+    """Record a run that is killed with SIGKILL; return the file, the times of its ticks, and the time of the kill."""
     path = tmp_path_factory.mktemp("killed") / "run.mcap"
     process = subprocess.Popen(
         [sys.executable, "-c", _ENDLESS, str(path)], stdout=subprocess.PIPE, text=True
@@ -453,11 +453,11 @@ def test_replay_tells_the_runs_numbers(flown, command):
     path, flight = flown
     found = command("replay", str(path), "--json")
     assert found.returncode == 0, found.stderr
-    told = json.loads(found.stdout)
-    assert told["trajectory_sha256"] == flight.recorder.sha256()
-    assert told["ticks"] == flight.recorder.ticks
-    assert told["whole"] is True
-    assert 0 < told["bytes_per_minute"] < 2e6
+    output = json.loads(found.stdout)
+    assert output["trajectory_sha256"] == flight.recorder.sha256()
+    assert output["ticks"] == flight.recorder.ticks
+    assert output["whole"] is True
+    assert 0 < output["bytes_per_minute"] < 2e6
     assert command("replay", str(path), "--realtime", "1000000").returncode == 0
 
 
@@ -470,13 +470,13 @@ def test_replay_refly_says_same_or_where_it_differs(flown, tmp_path, command):
     _rewrite(path, other, tick=200)
     found = command("replay", str(other), "--refly", "--json")
     assert found.returncode == 1
-    told = json.loads(found.stdout)
-    assert told["same"] is False
-    assert (told["difference"]["tick"], told["difference"]["vehicle"]) == (201, "ugv_0")
+    output = json.loads(found.stdout)
+    assert output["same"] is False
+    assert (output["difference"]["tick"], output["difference"]["vehicle"]) == (201, "ugv_0")
 
 
 def _rewrite(path: Path, out: Path, *, tick: int) -> None:
-    """The same recording with another command at one tick."""
+    """Copy a recording with another command at one tick."""
     recording = flight_of(path)
     file = RecordingFile(out)
     file.begin(recording.head, recording.scenario)
@@ -525,7 +525,7 @@ def test_another_programs_mcap_is_refused(tmp_path: Path, encoding: str) -> None
     assert not damage.reason
 
 
-def test_a_full_disk_does_not_end_the_flight_and_is_told() -> None:
+def test_full_disk_is_reported_and_does_not_end_the_run() -> None:
     with pytest.raises(OSError, match="No space left"):
         FlightRecorder(Path("/dev/full"), SCENARIO, SEED)
 
@@ -550,8 +550,8 @@ def test_an_observer_records_a_run_in_progress_to_the_same_bits(tmp_path, comman
     recording = flight_of(path)
     assert recording.missing_ticks == 0
     assert len(recording.truths) == flight.recorder.ticks + 1
-    told = [truth.escorts[0].distance for truth in recording.truths]
-    assert told == flight.recorder.escorts[:, 0, 0].tolist()
+    distances = [truth.escorts[0].distance for truth in recording.truths]
+    assert distances == flight.recorder.escorts[:, 0, 0].tolist()
     assert [*statuses(path)][-1].vehicles["uav_0"].present
     ground = [*coverages(path)][-1]
     assert len(ground.cells) == ground.rows * ground.columns == flight.world.coverage.size
@@ -591,7 +591,7 @@ def test_a_film_as_mp4_needs_ffmpeg_and_gives_it_every_frame(flown, tmp_path, mo
     assert "ffmpeg" in refused.stderr
     assert command("render", str(flown[0]), "-o", str(tmp_path / "run.avi")).returncode == 2
     program = tmp_path / "ffmpeg"
-    # as ffmpeg, which takes what stands before ':' for a protocol
+    # like ffmpeg, which treats text before ':' as a protocol
     program.write_text(
         "#!/bin/sh\nfor last; do :; done\n"
         'case "$last" in /*) /bin/cat > "$last" ;; *) echo no such protocol >&2; exit 1 ;; esac\n'

@@ -1,6 +1,6 @@
-"""The recording's thread writes of each tick the same bytes as the messages.
+"""The recording's thread writes the same bytes for each tick as the messages.
 
-And what operators said, with its tick.
+It also records the messages of operators with their ticks.
 """
 
 from pathlib import Path
@@ -56,10 +56,12 @@ def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, 
 
     def follow() -> None:
         silent = flight.world.tick % 5 == 0
-        told = flight.truth()
+        shown = flight.truth()
         if silent:
-            told = replace(told, escorts=tuple(replace(one, report=None) for one in told.escorts))
-        truths.append(told)
+            shown = replace(
+                shown, escorts=tuple(replace(one, report=None) for one in shown.escorts)
+            )
+        truths.append(shown)
 
     follow()
     flight.fly(InProcess(make_pilots(scenario, 3)), on_tick=follow)
@@ -67,8 +69,8 @@ def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, 
     for first in range(0, len(truths), block):
         part = truths[first : first + block]
         asked = [[vehicle.command for vehicle in truth.vehicles.values()] for truth in part]
-        said = [tuple(one.report for one in truth.escorts) for truth in part]
-        found_of_block = texts.of(first, np.array(asked), said)
+        reports = [tuple(one.report for one in truth.escorts) for truth in part]
+        found_of_block = texts.of(first, np.array(asked), reports)
         for k, (truth, found) in enumerate(zip(part, found_of_block, strict=True), first):
             assert found.truth == ENCODE(truth)
             missed += truth.escorts[0].detection is None
@@ -80,7 +82,7 @@ def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, 
     assert 0 < missed < len(truths)
 
 
-SPOKEN = {
+ACTIONS = {
     0: [("teleoperate", "ugv_0", Teleoperation(operator="anna", velocity=(0.1, 0.0)))],
     7: [("assign_driver", "ugv_0", "teleop")],
     9: [
@@ -97,25 +99,25 @@ SPOKEN = {
 
 
 class Operated(InProcess):
-    """Operators say and change what is written above, each at its tick."""
+    """Operators that act at their ticks, as listed above."""
 
-    def __init__(self, flight: Flight, spoken: dict[int, Any]) -> None:
+    def __init__(self, flight: Flight, actions: dict[int, Any]) -> None:
         super().__init__(make_pilots(flight.scenario, flight.seed))
-        self._flight, self._spoken = flight, spoken
+        self._flight, self._actions = flight, actions
         self.received: list[UgvObservation] = []
 
     def begin(self, tick: int) -> None:
-        for what, *words in self._spoken.get(tick, ()):
-            getattr(self._flight, what)(*words)
+        for what, *arguments in self._actions.get(tick, ()):
+            getattr(self._flight, what)(*arguments)
 
     def publish(self, observations: Any) -> None:
         self.received.append(observations["ugv_0"])
         super().publish(observations)
 
 
-def _fly(path, scenario, spoken=None):
+def _fly(path, scenario, actions=None):
     recorder, flight = FlightRecorder(path, scenario, 3), Flight(scenario, 3)
-    exchange = Operated(flight, spoken or {})
+    exchange = Operated(flight, actions or {})
     flight.fly(exchange, on_tick=lambda: recorder.tick(flight))
     recorder.close()
     return flight, exchange.received
@@ -123,15 +125,15 @@ def _fly(path, scenario, spoken=None):
 
 def test_operator_messages_and_changes_are_recorded_with_ticks(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    flight, received = _fly(path, ONE, SPOKEN)
-    words = [word for seen in received for word in seen.operator]
+    flight, received = _fly(path, ONE, ACTIONS)
+    commands = [command for seen in received for command in seen.operator]
     recording = flight_of(path)
     assert [word.tick for _, word in recording.operator_commands] == [0, 9, 9, 41]
     assert {ugv for ugv, _ in recording.operator_commands} == {"ugv_0"}
     assert [
         Teleoperation(operator=w.operator, velocity=w.velocity, goal=w.goal)
         for _, w in recording.operator_commands
-    ] == words
+    ] == commands
     radio = {"link": LinkKind.RADIO, "vehicle": "uav_0", "settings": LinkSettings(loss=0.5)}
     assert recording.changes == [
         Change(tick=7, control=Control(action=Action.DRIVER, vehicle="ugv_0", driver="teleop")),
@@ -154,15 +156,15 @@ def test_an_observer_writes_each_change_once(tmp_path: Path) -> None:
     changes = [
         Change(tick=k // 2, control=Control(action=Action.STEP, ticks=1 + k % 3)) for k in range(60)
     ]
-    for told in (0, 0, 1, 3, 3, 18, 22, 41, 60, 60):  # a status holds the last 20
-        observer.take(flight, changes=tuple(changes[max(0, told - 20) : told]))
+    for count in (0, 0, 1, 3, 3, 18, 22, 41, 60, 60):  # a status contains the last 20 changes
+        observer.receive(flight, changes=tuple(changes[max(0, count - 20) : count]))
         observer.recorder.record(0.0)
         flight.apply({})
     observer.recorder.close()
     assert load(tmp_path / "run.mcap")[0].changes == changes
 
 
-def test_a_word_that_does_not_decode_is_one_line(tmp_path: Path) -> None:
+def test_undecodable_teleoperation_is_one_line(tmp_path: Path) -> None:
     from mcap.writer import Writer
 
     from bus.errors import ScenarioError
@@ -172,8 +174,8 @@ def test_a_word_that_does_not_decode_is_one_line(tmp_path: Path) -> None:
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
-        told = (("/scenario", ENCODE(head_of(ONE, 3))), ("/ugv_0/operator", b'{"tick":-1}'))
-        for topic, data in told:
+        messages = (("/scenario", ENCODE(head_of(ONE, 3))), ("/ugv_0/operator", b'{"tick":-1}'))
+        for topic, data in messages:
             writer.add_message(writer.register_channel(topic, "json", 0), 0, data, 0)
         writer.finish()
     with refused(ScenarioError, r"bad\.mcap: /ugv_0/operator at 0 s"):

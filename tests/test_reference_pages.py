@@ -1,4 +1,4 @@
-"""The pages of the reference that are made from the code are whole."""
+"""The generated reference pages are complete."""
 
 import importlib
 import re
@@ -22,7 +22,9 @@ GENERATORS = Path(__file__).resolve().parent.parent / "docs" / "generators"
 
 @pytest.fixture
 def generator(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> ModuleType:
-    if request.param == "observations":  # its page shows the tables of learning, too
+    if (
+        request.param == "observations"
+    ):  # its page also shows the tables of the extension outrider_learning
         pytest.importorskip("outrider_learning", reason="the extension is not installed")
     monkeypatch.syspath_prepend(GENERATORS)
     return importlib.import_module(request.param)
@@ -42,7 +44,7 @@ def test_reference_covers_every_command_and_option(generator):
 
 
 @pytest.mark.parametrize("generator", ["bus_messages"], indirect=True)
-def test_every_key_and_every_field_of_its_message_is_told(generator: ModuleType) -> None:
+def test_every_key_and_message_field_is_documented(generator: ModuleType) -> None:
     rows, sections = generator.keys().splitlines()[2:], generator.messages()
     assert len(rows) == len(KEYS)
     for key, row in zip(KEYS, rows, strict=True):
@@ -65,7 +67,7 @@ def test_every_metric_is_in_the_table_of_its_section(generator: ModuleType) -> N
 
 
 @pytest.mark.parametrize("generator", ["scenario_fields"], indirect=True)
-def test_every_field_of_a_scenario_is_told_in_its_table(generator: ModuleType) -> None:
+def test_every_scenario_field_is_documented_in_its_table(generator: ModuleType) -> None:
     text = generator.tables()
     sections = dict(part.split("\n", 1) for part in ("\n" + text).split("\n### ")[1:])
     assert {"`[area]`", "`[law]`", "`[[uav]]`", "`[[ugv]]`", "`[[ugv.script]]`"} <= set(sections)

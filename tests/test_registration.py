@@ -1,4 +1,4 @@
-"""The name at Gymnasium and PettingZoo: it makes what it says, and nothing is limited twice."""
+"""The environments' names in Gymnasium and PettingZoo: correct settings, and no limit applied twice."""
 
 import copy
 import pickle
@@ -44,7 +44,7 @@ def test_pettingzoo_makes_all_vehicles_agents() -> None:
 
 def test_a_spec_can_be_copied_pickled_written_and_made_again() -> None:
     spec = gymnasium.spec(ESCORT)
-    assert copy.deepcopy(spec) == pickle.loads(pickle.dumps(spec)) == spec  # noqa: S301 - our own
+    assert copy.deepcopy(spec) == pickle.loads(pickle.dumps(spec)) == spec  # noqa: S301 - our own data
     assert EnvSpec.from_json(spec.to_json()) == spec
     env = gymnasium.make(spec, duration=1.0)
     again = gymnasium.make(env.spec)

@@ -1,4 +1,4 @@
-"""The picture of one flight."""
+"""The picture of one run."""
 
 import math
 import struct
@@ -49,7 +49,7 @@ def panel(figure, title):
 
 
 def limits(axes):
-    """The names of the radii that are drawn over time."""
+    """Return the names of the radii that are drawn over time."""
     return [text.get_text() for text in axes.texts]
 
 
@@ -75,8 +75,8 @@ def test_user_settings_change_no_byte_of_the_picture(flight, drawn, tmp_path):
     assert drawn.read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_header_tells_scenario_law_seed_distance_and_margin(flight):
-    told = " ".join(words(flight_figure(flight)))
+def test_header_shows_scenario_law_seed_distance_and_margin(flight):
+    text_of_figure = " ".join(words(flight_figure(flight)))
     farthest = flight.recorder.escorts[:, 0, 0].max()
     for part in (
         "test",
@@ -85,7 +85,7 @@ def test_header_tells_scenario_law_seed_distance_and_margin(flight):
         f"{farthest:.2f} m",
         f"margin {4.75 - farthest:.2f} m",
     ):
-        assert part in told
+        assert part in text_of_figure
 
 
 def test_map_shows_the_share_of_the_coverage_wanted(flight):
@@ -157,8 +157,8 @@ def test_two_pairs_have_colors_and_names_of_their_own(tmp_path):
 def test_observers_have_the_same_scene_as_who_knows_the_scenario():
     one = scenario()
     names = [vehicle.name for vehicle in one.vehicles]
-    told = geometry_of(one)
-    observed = observed_scene(one.name, told, escorts=told.uavs, vehicles=names)
+    geometry = geometry_of(one)
+    observed = observed_scene(one.name, geometry, escorts=geometry.uavs, vehicles=names)
     assert observed == scene_of(one)
     assert observed.vehicles[0].goals
 
@@ -194,7 +194,7 @@ def narrow(width, height):
     ],
     ids=["a UGV that is never seen", "narrow", "low", "a name that is no formula"],
 )
-def test_whatever_is_odd_is_drawn(odd, tmp_path):
+def test_unusual_scenario_is_drawn(odd, tmp_path):
     flown, summary = fly(odd, 0)
     assert (summary.detections == 0) is (odd.detections.dropout == 1.0)
     draw_flight(flown, tmp_path / "flight.png")
@@ -211,7 +211,7 @@ def test_whatever_is_odd_is_drawn(odd, tmp_path):
     ],
     ids=["paper", "unbounded", "too fast to stop in time"],
 )
-def test_r_s_is_drawn_only_where_it_is_a_circle_of_its_own(uav, drawn):
+def test_r_s_is_drawn_only_as_a_separate_circle(uav, drawn):
     law = Law(name="coverage", parameters={"reference_speed": 0.6})
     figure = flight_figure(
         fly(msgspec.structs.replace(scenario(uav=uav, duration=1.0), law=law), 0)[0]

@@ -1,4 +1,4 @@
-"""Reports: intervals that are right, one page with everything inside, and experiments of several folders told apart."""
+"""Reports: correct intervals, a self-contained page, and one experiment from several folders."""
 
 import json
 import math
@@ -55,7 +55,9 @@ def plan_of(**given) -> SweepPlan:
 
 
 def made_up(plan: SweepPlan, run: int) -> dict[str, object]:
-    """A row: switching breaks from 1 s on in all seeds but the first; linear at 2 s in one, and there a run failed."""
+    """Return a row: switching breaks from 1 s on except for the first seed; linear breaks once at 2 s, where one run
+    failed.
+    """
     head = plan.head(run)
     delay, seed = head.get("links.detections.delay") or 0.0, head["seed"]
     if (head["law"], delay, seed) == ("linear", 2.0, 0):
@@ -75,7 +77,7 @@ def made_up(plan: SweepPlan, run: int) -> dict[str, object]:
     return {**dict.fromkeys(RESULTS), **found, "run": run}
 
 
-def kept(path: Path, plan: SweepPlan, rows, *, whole: bool = True) -> Path:
+def written_sweep(path: Path, plan: SweepPlan, rows, *, whole: bool = True) -> Path:
     with SweepFolder(path, plan, command=f"outrider sweep --out {path.name}") as folder:
         folder.add(iter(rows))
         if whole:
@@ -85,7 +87,7 @@ def kept(path: Path, plan: SweepPlan, rows, *, whole: bool = True) -> Path:
 
 def swept(path: Path, plan: SweepPlan, runs: range | None = None) -> Path:
     rows = (made_up(plan, run) for run in runs or range(plan.runs))
-    return kept(path, plan, rows, whole=runs is None)
+    return written_sweep(path, plan, rows, whole=runs is None)
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +107,7 @@ def test_runs_are_counted_where_they_belong(material):
         (0.8, *stats.binomtest(4, 5).proportion_ci(method="wilson"))
     )
     last = panel.cell("linear", 2.0)
-    assert (len(last.flown), last.violated, last.failed) == (4, 1, 1)  # what failed is in no rate
+    assert (len(last.flown), last.violated, last.failed) == (4, 1, 1)  # failed runs are in no rate
     assert cell.numbers("margin") == pytest.approx([0.75, -0.26, -0.27, -0.28, -0.29])
     assert cell.numbers("estimate_rmse") == []
     assert holds(panel, "linear") == ("to 1 s, broken at 2 s", False)
@@ -120,9 +122,9 @@ def test_unordered_values_are_named_where_the_guarantee_breaks(tmp_path):
         head = plan.head(run)
         hard = head["law"] == "circle" or (head["law"], head["links.profile"]) == ("linear", "lte")
         row |= {"violated": hard, "error": None}
-    material = read_material([kept(tmp_path / "sweep", plan, rows)])
-    told = [holds(material.panels[0], law) for law in material.law]
-    assert told == [
+    material = read_material([written_sweep(tmp_path / "sweep", plan, rows)])
+    broken_from = [holds(material.panels[0], law) for law in material.law]
+    assert broken_from == [
         ("broken over lte", False),
         ("over each, all values tried", True),
         ("broken over each", False),
@@ -141,7 +143,7 @@ def test_lost_run_without_certificate_breaks_none(tmp_path):
             row |= {"certified_while_lost": 0, "certificate_broken": 0}
             if late and head["seed"] == 1:
                 row |= {"certified_while_lost": 4, "certificate_broken": 1200}
-    material = read_material([kept(tmp_path / "sweep", plan, rows)])
+    material = read_material([written_sweep(tmp_path / "sweep", plan, rows)])
     assert holds(material.panels[0], "certified") == (
         "to 1 s, broken at 2 s, where it is not certified",
         False,
@@ -158,7 +160,7 @@ def test_lost_run_without_certificate_breaks_none(tmp_path):
     for row in rows[:]:
         if row["certified_share"] == 0.5:
             row["certified_share"] = 1.0
-    material = read_material([kept(tmp_path / "broken", plan, rows)])
+    material = read_material([written_sweep(tmp_path / "broken", plan, rows)])
     assert holds(material.panels[0], "certified") == ("to 1 s, broken at 2 s", False)
     assert (
         certified_runs(material)
@@ -191,8 +193,8 @@ def test_the_page_needs_nothing_beside_itself(material, pictures):
     text = page(material, pictures, "outrider report sweeps/delay")
     assert text.count('src="data:image/png;base64,') == 4
     assert not re.search(r"<script|<link|(src|href)=\"(?!data:)|url\(|@import", text)
-    told = ("outrider sweep --out delay", "outrider report sweeps/delay", "4 (80 %)")
-    for wanted in (*told, material.heads[0].outrider):
+    phrases = ("outrider sweep --out delay", "outrider report sweeps/delay", "4 (80 %)")
+    for wanted in (*phrases, material.heads[0].outrider):
         assert wanted in text
     assert "made up <b>" not in text
 
@@ -254,16 +256,16 @@ def test_unfinished_sweep_is_marked_and_an_empty_one_refused(tmp_path):
 def test_a_sweep_of_nothing_but_failures_can_be_reported(tmp_path):
     plan = plan_of(vary=["dt=0.05,0.1"], changes=["detections.rate=10"], seeds=1)
     rows = [{**dict.fromkeys(RESULTS), "run": run, "error": "no"} for run in range(plan.runs)]
-    material = read_material([kept(tmp_path / "sweep", plan, rows, whole=False)])
+    material = read_material([written_sweep(tmp_path / "sweep", plan, rows, whole=False)])
     pictures = draw_all(material, tmp_path)
     assert "No run is complete." in page(material, pictures, "")
 
 
 def test_report_writes_page_and_pictures_and_prints_json(tmp_path, command):
     folder = swept(tmp_path / "delay", plan_of(seeds=2))
-    told = command("report", str(folder), "--json")
-    assert told.returncode == 0, told.stderr
-    found = json.loads(told.stdout)
+    done = command("report", str(folder), "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
     assert (found["rows"], found["failed"], found["missing"]) == (16, 1, 0)
     assert Path(found["page"]) == folder / "report" / "report.html"
     assert all(

@@ -1,4 +1,4 @@
-"""A scenario with all options applied: the file that the simulator reads, and who reads it."""
+"""A scenario with all options applied: the file for the simulator, and its readers."""
 
 import json
 from pathlib import Path
@@ -55,7 +55,7 @@ def test_a_shipped_scenario_is_written_and_read_the_same(
 def test_a_scenario_that_loads_is_written_and_read_the_same(
     tmp_path: Path, odd: dict[str, Any], texts: dict[str, str], numbers: dict[str, Any]
 ) -> None:
-    texts |= {"ugv.0.script": [{"time": 0.0, "velocity": [0.1, 0.0]}]}  # instead of the track
+    texts |= {"ugv.0.script": [{"time": 0.0, "velocity": [0.1, 0.0]}]}  # instead of the trajectory
     try:
         scenario = load_scenario("escort", overrides=odd | texts | numbers)
     except ScenarioError:
@@ -105,24 +105,26 @@ def test_a_run_leaves_a_file_that_flies_the_same_run_again(tmp_path: Path) -> No
 
 
 def test_the_simulator_alone_reads_the_scenario(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A vehicle gets endpoint, credential and its own code; goals and seed are in no other process."""
-    told: dict[str, tuple[list[str], Start]] = {}
+    """A vehicle receives endpoint, credential and its own code; goals and seed reach no other process."""
+    started_with: dict[str, tuple[list[str], Start]] = {}
     child = launch.Child
 
-    def noting(name: str, arguments: list[str], start: Start, **settings: Any) -> launch.Child:
-        told[name] = (arguments, start)
+    def recorded_child(
+        name: str, arguments: list[str], start: Start, **settings: Any
+    ) -> launch.Child:
+        started_with[name] = (arguments, start)
         return child(name, arguments, start, **settings)
 
-    monkeypatch.setattr(launch, "Child", noting)
+    monkeypatch.setattr(launch, "Child", recorded_child)
     code = msgspec.structs.replace(SHORT.custom, weighting="mine:weighting", policy="mine:policy")
     assert launched(scenario=msgspec.structs.replace(SHORT, custom=code)).summary is None
-    (file,) = (word for word in told["simulator"][0] if word.endswith(".toml"))
+    (file,) = (word for word in started_with["simulator"][0] if word.endswith(".toml"))
     for name, own in (("uav_0", "weighting"), ("ugv_0", "policy")):
-        arguments, start = told[name]
+        arguments, start = started_with[name]
         assert file not in " ".join(arguments)
         assert {field: value for field, value in start.code.items() if value} == {
             own: f"mine:{own}"
         }
         plain = msgspec.structs.replace(start, credential=None, code={})
         assert plain == Start(join_timeout=SHORT.run.join_timeout)
-    assert told["simulator"][1].code == {}
+    assert started_with["simulator"][1].code == {}

@@ -1,7 +1,7 @@
-"""The rogue: a UAV that wants to know what it may not, with all that it is told and a processor.
+"""The rogue: a UAV that uses its observations and computing power to learn what it must not know.
 
-It knows this program, so it tries every seed: which of them gives the key that it was told, the looks that failed,
-the noise? Who has the seed has p_delta without noise, and the other pilot's key.
+It knows this program, so it tries every seed that gives its key, its failed detections and their noise. With the seed
+it would know p_delta without noise, and the other pilot's key.
 """
 
 import functools
@@ -39,45 +39,45 @@ SCENARIO = load_scenario(
     "escort", overrides=["duration=10.0", "detections.noise=0.2", "detections.dropout=0.08"]
 )
 SEED = 1_234_567
-"""The run's: among those that are tried, and not so far on that the search that finds it takes long."""
+"""The seed of the run: within the search, and not so large that the search takes long."""
 SEEDS = 2**24
-"""Seeds that a search tries; the run's seed is among them."""
+"""Number of seeds that a search tries, that of the run among them."""
 SECRET = bytes(range(100, 116)).hex()
 ROW = 0
 """Index of uav_0 among the vehicles."""
-WAYS = KEY, FLAGS, LOOKS = range(3)
-"""The evidence of a search: the briefing's key, which looks succeeded, what they said."""
+EVIDENCE = KEY, FLAGS, DETECTIONS = range(3)
+"""The evidence of a search: the key in the briefing, the successful detections, their positions."""
 PURPOSE = (PILOT, DETECTION_CHANCE, DETECTION_NOISE)
-"""Purpose of the keys that each kind of evidence tries."""
+"""Purpose of the keys for each kind of evidence."""
 SOME = 2**16
-"""Seeds whose keys are held at once."""
+"""Seeds whose keys are in memory at the same time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Told:
-    """All that one UAV has of a run that may hold something of its seed."""
+class Observed:
+    """All data of one UAV that depend on the seed of the run."""
 
     key: Key
     ticks: IntArray
     """Ticks of the detection attempts. Shape (attempts,)."""
     found: npt.NDArray[np.bool_]
-    """True where a look succeeded. Shape (looks,)."""
-    said: FloatArray
-    """p_delta as they said it [m]; NaN where they failed. Shape (looks, 2)."""
+    """True where a detection attempt succeeded. Shape (attempts,)."""
+    detected: FloatArray
+    """Detected p_delta [m]; NaN where an attempt failed. Shape (attempts, 2)."""
     sigma: float
     cut: float
     fastest: float
-    """The farthest that p_delta may go in a tick [m]."""
+    """Largest change of p_delta in a tick [m]."""
 
 
 def _keys(seeds: range, purpose: int, vehicle: int, secret: str) -> WordArray:
-    """Keys of the runs of these seeds, as `sim.engine.run_keys` derives them. Shape (seeds, 2)."""
-    told = np.zeros(len(seeds), dtype=[("seed", "<u8"), ("purpose", "<u4"), ("vehicle", "<u4")])
-    told["seed"], told["purpose"], told["vehicle"] = seeds, purpose, vehicle
-    begun = blake2b(digest_size=16, key=bytes.fromhex(secret), person=b"outrider")
+    """Return the keys of the runs of these seeds, derived like in `sim.engine.run_keys`. Shape (seeds, 2)."""
+    messages = np.zeros(len(seeds), dtype=[("seed", "<u8"), ("purpose", "<u4"), ("vehicle", "<u4")])
+    messages["seed"], messages["purpose"], messages["vehicle"] = seeds, purpose, vehicle
+    prefix = blake2b(digest_size=16, key=bytes.fromhex(secret), person=b"outrider")
     digests = []
-    for message in told.view("V16").tolist():
-        digest = begun.copy()
+    for message in messages.view("V16").tolist():
+        digest = prefix.copy()
         digest.update(message)
         digests.append(digest.digest())
     return np.frombuffer(b"".join(digests), dtype="<u8").astype(np.uint64).reshape(-1, 2)
@@ -85,24 +85,24 @@ def _keys(seeds: range, purpose: int, vehicle: int, secret: str) -> WordArray:
 
 @compiled
 def _try_seeds(
-    way: int,
+    evidence: int,
     keys: WordArray,
     key: Key,
     ticks: IntArray,
     found: npt.NDArray[np.bool_],
-    said: FloatArray,
+    detected: FloatArray,
     sigma: float,
     cut: float,
     fastest: float,
     hits: npt.NDArray[np.bool_],
 ) -> None:
-    """Write into `hits` which of the keys may be the run's, as far as one way tells. Shape (keys,)."""
+    """Write to `hits` which of the keys agree with one kind of evidence. Shape (keys,)."""
     for k in range(keys.shape[0]):
         tried = keys[k, 0], keys[k, 1]
-        if way == KEY:
+        if evidence == KEY:
             fits = tried[0] == key[0] and tried[1] == key[1]
-        elif way == FLAGS:
-            # whatever the share of dropouts is, it divides what failed from what did not
+        elif evidence == FLAGS:
+            # for any dropout rate, it separates failed from successful attempts
             low, high = (0.0, 1.0)
             for n in range(ticks.shape[0]):
                 drawn = uniform(tried, DETECTION_CHANCE, ticks[n], 0)
@@ -119,7 +119,7 @@ def _try_seeds(
                 if not found[n]:
                     continue
                 n_x, n_y = cut_normal_vector(sigma, cut, tried, DETECTION_NOISE, ticks[n], 0)
-                p_x, p_y = said[n, 0] - n_x, said[n, 1] - n_y
+                p_x, p_y = detected[n, 0] - n_x, detected[n, 1] - n_y
                 if last >= 0 and math.hypot(p_x - x, p_y - y) > fastest * (ticks[n] - last) + 1e-9:
                     fits = False
                     break
@@ -127,25 +127,27 @@ def _try_seeds(
         hits[k] = fits
 
 
-def _search(told: Told, way: int, secret: str, first: int, seeds: int) -> list[int]:
-    """The seeds that may be the run's."""
-    ticks, found = told.ticks, told.found
-    if way == FLAGS:  # looks that failed among the first: most seeds are out after a few draws
+def _search(data: Observed, evidence: int, secret: str, first: int, seeds: int) -> list[int]:
+    """Return the seeds that agree with one kind of evidence."""
+    ticks, found = data.ticks, data.found
+    if (
+        evidence == FLAGS
+    ):  # start with the failed attempts: they exclude most seeds after a few draws
         both = zip(ticks[~found].tolist(), ticks[found].tolist(), strict=False)
         ticks = np.array([tick for pair in both for tick in pair])
         found = np.arange(len(ticks)) % 2 == 1
-    looks = (told.key, ticks, found, told.said, told.sigma, told.cut, told.fastest)
+    columns = (data.key, ticks, found, data.detected, data.sigma, data.cut, data.fastest)
     fitting: list[int] = []
     for begin in range(first, first + seeds, SOME):
         some = range(begin, min(begin + SOME, first + seeds))
         hits = np.zeros(len(some), dtype=np.bool_)
-        _try_seeds(way, _keys(some, PURPOSE[way], ROW, secret), *looks, hits)
+        _try_seeds(evidence, _keys(some, PURPOSE[evidence], ROW, secret), *columns, hits)
         fitting += [some[k] for k in np.flatnonzero(hits).tolist()]
     return fitting
 
 
 class _Bugged(InProcess):
-    """The exchange of a flight, that keeps what uav_0 is told."""
+    """An exchange that records the observations of uav_0."""
 
     def __init__(self, flight: Flight) -> None:
         super().__init__(make_pilots(flight.scenario, flight.seed, secret=flight.secret))
@@ -158,14 +160,14 @@ class _Bugged(InProcess):
         self.received.append(mine)
 
 
-def _told(secret: str, ticks: IntArray, said: FloatArray) -> Told:
+def _observed(secret: str, ticks: IntArray, detected: FloatArray) -> Observed:
     me = uav_briefing(SCENARIO, "uav_0", SEED, secret)
     assert me.detector.truncation is not None
-    return Told(
+    return Observed(
         key=words_of(me.key),
         ticks=ticks,
-        found=~np.isnan(said[:, 0]),
-        said=said,
+        found=~np.isnan(detected[:, 0]),
+        detected=detected,
         sigma=me.detector.noise,
         cut=me.detector.truncation,
         fastest=(me.limits.max_speed + me.target_limits.max_speed) * me.dt,  # type: ignore[operator]
@@ -173,24 +175,26 @@ def _told(secret: str, ticks: IntArray, said: FloatArray) -> Told:
 
 
 @functools.cache
-def _on_the_bus(secret: str) -> tuple[Told, FloatArray]:
-    """Its messages from the bus, and the true p_delta."""
+def _from_bus(secret: str) -> tuple[Observed, FloatArray]:
+    """Return the data from the bus, and the true p_delta."""
     flight = Flight(SCENARIO, SEED, secret=secret)
     bug = _Bugged(flight)
     flight.fly(bug)
-    said = np.array(
+    detected = np.array(
         [
-            look.detections[0].relative_position if look.detections else (math.nan,) * 2
-            for look in bug.received
+            observation.detections[0].relative_position
+            if observation.detections
+            else (math.nan,) * 2
+            for observation in bug.received
         ]
     )
     states = flight.recorder.states[:, :, :2]
-    return _told(secret, np.arange(len(said)), said), states[:, 0] - states[:, 1]
+    return _observed(secret, np.arange(len(detected)), detected), states[:, 0] - states[:, 1]
 
 
 @functools.cache
-def _in_rows(secret: str) -> tuple[Told, FloatArray]:
-    """The same of the environment's rows."""
+def _from_rows(secret: str) -> tuple[Observed, FloatArray]:
+    """Return the data from the environment's rows, and the true p_delta."""
     env = parallel_env(SCENARIO, secret=secret)
     seen, _ = env.reset(seed=SEED)
     fly, rows, true = pilots(env), [seen["uav_0"]], [env.world.position[0] - env.world.position[1]]
@@ -199,22 +203,22 @@ def _in_rows(secret: str) -> tuple[Told, FloatArray]:
         rows.append(seen["uav_0"])
         true.append(env.world.position[0] - env.world.position[1])
     entries = by_name(UAV, np.array(rows))
-    said = np.column_stack([entries["relative_x"], entries["relative_y"]])
-    said[entries["detected"] == 0.0] = math.nan
-    return _told(secret, np.arange(len(said)), said), np.array(true)
+    detected = np.column_stack([entries["relative_x"], entries["relative_y"]])
+    detected[entries["detected"] == 0.0] = math.nan
+    return _observed(secret, np.arange(len(detected)), detected), np.array(true)
 
 
-PLACES = {"bus": _on_the_bus, "rows": _in_rows}
+PLACES = {"bus": _from_bus, "rows": _from_rows}
 
 
-def _without_noise(told: Told, seed: int, secret: str) -> FloatArray:
-    """The looks that succeeded, less the noise of this seed. Shape (looks, 2)."""
+def _without_noise(data: Observed, seed: int, secret: str) -> FloatArray:
+    """Return the successful detections without the noise of this seed. Shape (detections, 2)."""
     key = words_of(derive_key(seed, DETECTION_NOISE, ROW, secret))
     noise = [
-        cut_normal_vector(told.sigma, told.cut, key, DETECTION_NOISE, tick, 0)
-        for tick in told.ticks.tolist()
+        cut_normal_vector(data.sigma, data.cut, key, DETECTION_NOISE, tick, 0)
+        for tick in data.ticks.tolist()
     ]
-    return (told.said - np.array(noise))[told.found]
+    return (data.detected - np.array(noise))[data.found]
 
 
 def test_the_rogue_derives_keys_as_the_simulator_does() -> None:
@@ -227,28 +231,32 @@ def test_the_rogue_derives_keys_as_the_simulator_does() -> None:
 
 def test_in_a_run_with_a_secret_the_rogue_finds_no_seed() -> None:
     assert SEEDS > SEED
-    told, _ = _on_the_bus(SECRET)
-    rows, _ = _in_rows(SECRET)
-    assert np.array_equal(told.said, rows.said, equal_nan=True)  # so one search is both
-    assert (told.key, told.ticks.tolist()) == (rows.key, rows.ticks.tolist())
-    assert 5 < (~told.found).sum() < 40
-    for way in WAYS:  # all of them together fit no more seeds than each alone
-        assert _search(told, way, "", 0, SEEDS) == []
+    data, _ = _from_bus(SECRET)
+    rows, _ = _from_rows(SECRET)
+    assert np.array_equal(data.detected, rows.detected, equal_nan=True)  # so one search covers both
+    assert (data.key, data.ticks.tolist()) == (rows.key, rows.ticks.tolist())
+    assert 5 < (~data.found).sum() < 40
+    for evidence in EVIDENCE:  # all kinds together agree with no more seeds than each alone
+        assert _search(data, evidence, "", 0, SEEDS) == []
 
 
 @pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("way", WAYS, ids=["key", "flags", "looks"])
+@pytest.mark.parametrize("evidence", EVIDENCE, ids=["key", "flags", "positions"])
 @pytest.mark.parametrize(
     "secret", ["", SECRET], ids=["without a secret", "with a secret that it knows"]
 )
-def test_rogue_finds_seed_and_true_position_without_a_secret(place, way, secret):
-    told, true = PLACES[place](secret)
-    assert _search(told, way, secret, SEED - 50_000, 100_000) == [SEED]
-    assert _without_noise(told, SEED, secret) == pytest.approx(true[told.found], abs=1e-12)
-    assert np.abs(told.said - true)[told.found].max() > 0.1  # which the looks themselves do not say
+def test_rogue_finds_seed_and_true_position_without_a_secret(place, evidence, secret):
+    data, true = PLACES[place](secret)
+    assert _search(data, evidence, secret, SEED - 50_000, 100_000) == [SEED]
+    assert _without_noise(data, SEED, secret) == pytest.approx(true[data.found], abs=1e-12)
+    assert (
+        np.abs(data.detected - true)[data.found].max() > 0.1
+    )  # which is not visible in the detections
 
 
-def test_a_secret_that_is_wrong_by_one_bit_finds_nothing() -> None:
-    told, _ = _on_the_bus(SECRET)
+def test_secret_with_one_wrong_bit_finds_nothing() -> None:
+    data, _ = _from_bus(SECRET)
     other = f"{int(SECRET, 16) ^ 1:032x}"
-    assert all(_search(told, way, other, SEED - 50_000, 100_000) == [] for way in WAYS)
+    assert all(
+        _search(data, evidence, other, SEED - 50_000, 100_000) == [] for evidence in EVIDENCE
+    )

@@ -1,4 +1,4 @@
-"""Roles of extensions get at most an operator's rows of the key table, and no key of a run."""
+"""Roles of extensions: at most an operator's rows of the key table, and no key of a run."""
 
 import pytest
 
@@ -56,8 +56,8 @@ def test_a_package_that_breaks_a_rule_is_left_out(monkeypatch, capsys) -> None:
     monkeypatch.setattr(plugins, "load_all", lambda group, kind: given)
     found = roles.extension_roles.__wrapped__()
     assert set(found) == {"view"}
-    told = capsys.readouterr().err.splitlines()
-    assert [line.partition("'")[2].partition("'")[0] for line in told] == ["thief", "spy", "again"]
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.partition("'")[2].partition("'")[0] for line in lines] == ["thief", "spy", "again"]
 
 
 @pytest.fixture

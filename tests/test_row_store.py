@@ -1,4 +1,4 @@
-"""Rows of a long flight, in a file or, where the disk is full, in memory."""
+"""Rows of a long run, in a file, or in memory if the disk is full."""
 
 import os
 

@@ -1,6 +1,6 @@
-"""The safety filter in the loop: around a law, a policy, an operator's choice.
+"""The safety filter around a law, a policy and an operator's choice.
 
-And honest where nothing can be promised.
+It also reports when nothing can be certified.
 """
 
 from typing import Any
@@ -12,7 +12,7 @@ import pytest
 from agents.safety.safety_filter import SafetyFilter, bounds_of
 from bus.messages.decision import NotCertified
 from bus.messages.links import LinkSettings
-from flights import DT, U_A, V_A, distances, told, uav_sees
+from flights import DT, U_A, V_A, briefing_of, distances, uav_sees
 from outrider.envs.parallel import parallel_env
 from outrider.running.assumptions import assumption_warnings
 from outrider.running.flying import fly
@@ -31,14 +31,14 @@ def watched(*overrides: str, driver: str = "evade", duration: float = 120.0) -> 
     return load_scenario("escort", overrides=[*flown, "area.cell=0.5", *overrides])
 
 
-DARK = [
+BLACKOUTS = [
     *(f"links.detections.blackout_{what}" for what in ("interval=12.0", "length=8.0")),
     "certificate.max_measurement_age=9.0",
 ]
 NETWORKS = {
     "perfect": [],
     "late detections": ["links.detections.delay=1.0", "certificate.max_measurement_age=1.5"],
-    "blackouts": DARK,
+    "blackouts": BLACKOUTS,
     "late commands": ["links.commands.delay=0.5"],
     "loss": ["links.detections.loss=0.5"],
 }
@@ -50,7 +50,7 @@ def test_sight_is_kept_and_certified_in_every_tick(network: list[str], seed: int
     scenario = watched(*network)
     assert not [
         line for line in assumption_warnings(scenario) if "cannot always be certified" not in line
-    ]  # what chance may do is told
+    ]  # random violations give a warning
     flight, summary = fly(scenario, seed)
     assert summary.max_distance < R_V
     until = int(np.flatnonzero(~np.isnan(flight.recorder.escorts[:, 0, 4]))[0])
@@ -61,11 +61,11 @@ def test_sight_is_kept_and_certified_in_every_tick(network: list[str], seed: int
 
 
 def test_the_paper_s_law_loses_sight_where_the_filter_keeps_it() -> None:
-    """In one of the flights above, whose sight the filter has kept."""
-    assert fly(watched(*DARK, "law.name=switching"), 7)[1].max_distance > R_V
+    """The filter keeps sight in the same run above."""
+    assert fly(watched(*BLACKOUTS, "law.name=switching"), 7)[1].max_distance > R_V
 
 
-def test_undegraded_the_filter_leaves_the_law_alone() -> None:
+def test_safety_filter_does_not_override_the_undegraded_law() -> None:
     certified = fly(watched(driver="waypoints"), 7)
     plain = fly(watched("law.name=logarithmic", driver="waypoints"), 7)
     assert certified[1].overridden_share == 0.0
@@ -80,7 +80,7 @@ links.commands.delay=0.5 certificate.max_command_delay=0.0 | COMMAND_INTERVAL
 detections.noise=0.5 certificate.max_measurement_error=0.2 | CONTRADICTION
 """),
 )
-def test_a_broken_assumption_is_told_with_its_name(changes: str, reason: str) -> None:
+def test_broken_assumption_is_reported_by_name(changes: str, reason: str) -> None:
     _, summary = fly(watched(*words(changes), duration=60.0), 7)
     assert summary.certified_share < 1.0
     assert reason in summary.uncertified
@@ -107,26 +107,26 @@ def test_uncertifiable_scenario_warns_and_reports_each_tick(changes, reason):
 def test_what_is_declared_follows_from_the_scenario() -> None:
     commands = LinkSettings(delay=0.2, jitter=0.1, reorder=0.1, reorder_delay=0.05)
     scenario = msgspec.structs.replace(watched(), links=LinkTable(commands=commands))
-    declared = told(scenario).safety
+    declared = briefing_of(scenario).safety
     assert declared.max_measurement_error == pytest.approx(0.3)
     assert declared.max_command_delay == pytest.approx(0.35)
     own = msgspec.structs.replace(
         scenario, certificate=Certificate(max_command_delay=0.1, max_measurement_error=0.5)
     )
-    assert told(own).safety.max_measurement_error == 0.5
+    assert briefing_of(own).safety.max_measurement_error == 0.5
 
 
 def test_detection_counts_at_the_uavs_position_of_its_time() -> None:
-    watch = SafetyFilter(told(watched()))
+    watch = SafetyFilter(briefing_of(watched()))
     for tick in range(10):
-        looks = [(0.1, (1.0, 0.0))] if tick == 9 else []
-        watch.see(uav_sees(tick, *looks, position=(5.0 + 0.5 * tick, 5.0)))
+        detections = [(0.1, (1.0, 0.0))] if tick == 9 else []
+        watch.see(uav_sees(tick, *detections, position=(5.0 + 0.5 * tick, 5.0)))
     newest = watch.memory.discs[watch.memory.discs["tick"] >= 0][["x", "y", "tick"]]
     assert newest.tolist() == [(5.0, 5.0, 2)]  # it was at 6 m at tick 2
 
 
 def outward(env: Any, agent: str) -> Any:
-    """A policy that does all it can to lose sight: away from the UGV at full thrust."""
+    """Return the acceleration away from the UGV at full thrust."""
     x, y = env.unwrapped.world.position[0] - env.unwrapped.world.position[1]
     length = max(np.hypot(x, y), 1e-9)
     return np.array([x, y]) / length * 0.3
@@ -159,13 +159,13 @@ def test_filtered_environment_keeps_sight_for_any_policy() -> None:
 @pytest.mark.parametrize("agent", ["uav_0", "ugv_0"])
 @pytest.mark.parametrize("action", [[np.nan, 0.0], [1.0], "fast"])
 def test_nonsense_is_refused_before_anything_is_filtered(agent, action) -> None:
-    env, twin = (parallel_env(watched(duration=5.0), safety_filter=True) for _ in range(2))
+    env, untouched = (parallel_env(watched(duration=5.0), safety_filter=True) for _ in range(2))
     env.reset(seed=7)
-    twin.reset(seed=7)
+    untouched.reset(seed=7)
     good = {"uav_0": np.zeros(2), "ugv_0": np.zeros(2)}
     with pytest.raises(ValueError, match=f"action of {agent}"):
         env.step(good | {agent: action})
-    assert equal(env.step(good), twin.step(good))
+    assert equal(env.step(good), untouched.step(good))
 
 
 def test_a_tick_that_is_not_certified_says_why() -> None:
@@ -190,7 +190,7 @@ def test_filter_keeps_sight_with_rounded_observations() -> None:
 
 
 def test_moving_uav_is_certified_from_its_first_plan_on() -> None:
-    """It brakes while it sees nothing, by plans that are not checked."""
+    """Without detections it brakes, by plans that are not checked."""
     scenario = watched(
         "links.commands.delay=0.5",
         "links.detections.delay=0.3",
@@ -204,13 +204,13 @@ def test_moving_uav_is_certified_from_its_first_plan_on() -> None:
     assert summary.uncertified[unchecked] <= 0.5 / 0.05 + 1
 
 
-def test_a_filter_may_be_taken_up_in_the_middle_of_a_flight() -> None:
-    """An operator chooses the law while it flies: the certificate begins with the next detection."""
+def test_safety_filter_can_start_in_flight() -> None:
+    """An operator selects the law during the run: the certificate starts with the next detection."""
     from agents.uav import UavPilot
     from bus.messages.scenario import Law
 
     scenario = watched("law.name=logarithmic", duration=10.0)
-    pilot = UavPilot(told(scenario))
+    pilot = UavPilot(briefing_of(scenario))
     assert pilot.filter is None
     there = {"position": (7.0, 9.0)}
     pilot.act(uav_sees(0, (0.0, (0.0, 1.0)), **there))
@@ -220,6 +220,6 @@ def test_a_filter_may_be_taken_up_in_the_middle_of_a_flight() -> None:
     assert command.report.decision.certified_distance == pytest.approx(1.3)
     moved = step_vehicle(7.0, 9.0, 0.0, 0.0, *command.acceleration, V_A, U_A, DT)
     there = {"position": moved[:2], "velocity": moved[2:4]}
-    command = pilot.act(uav_sees(3, **there))  # it flies a plan that was checked
+    command = pilot.act(uav_sees(3, **there))  # it flies a checked plan
     assert command.report.decision.certified
-    assert bounds_of(told(scenario)).placed_error == pytest.approx(0.3)
+    assert bounds_of(briefing_of(scenario)).placed_error == pytest.approx(0.3)

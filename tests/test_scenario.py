@@ -1,4 +1,4 @@
-"""Scenarios: what is shipped, how files and overrides become one, its checks against other formulas, its warnings."""
+"""Scenarios: the shipped ones, files and overrides, checks against other formulas, and warnings."""
 
 import math
 import re
@@ -51,7 +51,7 @@ def test_shipped_scenarios_have_the_papers_parameters(name: str) -> None:
     unbounded = name in {"figure-1-low-gain", "figure-1-high-gain"}
     bounds = (math.inf, math.inf) if unbounded else (0.6, 0.3)
     assert (uav.max_speed, uav.max_acceleration) == bounds
-    heavy = name == "minefield"  # needs 1.5 m to stop: what the escort is for
+    heavy = name == "minefield"  # needs 1.5 m to stop, which is why it needs an escort
     assert (ugv.max_speed, ugv.max_acceleration) == ((0.3, 0.03) if heavy else (0.2, 0.1))
     low = name == "figure-1-low-gain"
     assert getattr(law, "speed_gain", 10.0) == (1.0 if low else 10.0)
@@ -63,7 +63,7 @@ def test_figures_1_and_3_fly_the_independent_reference_line(name: str) -> None:
     line = (s.uav[0].position, s.ugv[0].position, s.ugv[0].goals)
     assert line == ((6.0, 21.0), (6.0, 20.0), ((34.0, 20.0),))
     assert (s.detections.noise, s.detections.dropout) == (0.0, 0.0)
-    # coverage alone loses sight, and only the filter goes on predicting
+    # coverage alone loses sight, and only the filter continues to predict
     assert s.estimator.enabled == name.startswith("figure-1")
     assert s.duration == (240.0 if name.startswith("figure-1") else 160.0)
 
@@ -71,8 +71,8 @@ def test_figures_1_and_3_fly_the_independent_reference_line(name: str) -> None:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_ugvs_stand_at_their_goal_for_the_last_2_s(name: str) -> None:
     s = load_scenario(name)
-    told = briefing(s, "ugv_0", 0)
-    driver = CompiledDriver(told, "waypoints")
+    briefed = briefing(s, "ugv_0", 0)
+    driver = CompiledDriver(briefed, "waypoints")
     p_x, p_y, v_x, v_y = *s.ugv[0].position, 0.0, 0.0
     for tick in range(s.ticks - round(2.0 / s.dt)):
         seen = UgvObservation(tick=tick, time=tick * s.dt, position=(p_x, p_y), velocity=(v_x, v_y))
@@ -83,10 +83,15 @@ def test_shipped_ugvs_stand_at_their_goal_for_the_last_2_s(name: str) -> None:
 
 
 def test_the_escort_is_noisy_and_turns_both_ways() -> None:
-    told = (ESCORT.seed, ESCORT.duration, ESCORT.law.name, ESCORT.estimator.enabled)
-    assert told == (7, 200.0, "certified", True)
-    looks = ESCORT.detections
-    assert (looks.noise, looks.truncation, looks.rate, looks.dropout) == (0.1, 3.0, 20.0, 0.1)
+    settings = (ESCORT.seed, ESCORT.duration, ESCORT.law.name, ESCORT.estimator.enabled)
+    assert settings == (7, 200.0, "certified", True)
+    detections = ESCORT.detections
+    assert (detections.noise, detections.truncation, detections.rate, detections.dropout) == (
+        0.1,
+        3.0,
+        20.0,
+        0.1,
+    )
     corners = np.diff(np.array([ESCORT.ugv[0].position, *ESCORT.ugv[0].goals]), axis=0)
     turns = np.sign(corners[:-1, 0] * corners[1:, 1] - corners[:-1, 1] * corners[1:, 0])
     assert len(corners) == 5
@@ -245,7 +250,7 @@ def test_a_circle_is_warned_of_just_above_the_bound(overrides: list[str], bound:
         assert f"allowed up to {bound:.4f} rad/s" in line
 
 
-def test_what_will_surprise_is_warned_of_and_nothing_else() -> None:
+def test_surprising_settings_and_nothing_else_give_warnings() -> None:
     warned = {name: scenario_warnings(load_scenario(name)) for name in SHIPPED}
     assert {name for name, lines in warned.items() if lines} == {
         name for name in SHIPPED if "figure-1" in name or "fast" in name
@@ -261,6 +266,6 @@ def test_what_will_surprise_is_warned_of_and_nothing_else() -> None:
 def test_drivers_that_ignore_hazards_are_named(driver: str) -> None:
     hazard = '{kind = "block", center = [10.0, 8.0], radius = 0.5}'
     changes = [f"hazard=[{hazard}]", f"ugv.0.driver={driver}"]
-    told = " ".join(scenario_warnings(load_scenario("escort", overrides=changes)))
-    assert ("does not avoid hazards" in told) == (driver != "navigate")
-    assert ("from position to goals.0 crosses hazard.0" in told) == (driver == "waypoints")
+    warnings = " ".join(scenario_warnings(load_scenario("escort", overrides=changes)))
+    assert ("does not avoid hazards" in warnings) == (driver != "navigate")
+    assert ("from position to goals.0 crosses hazard.0" in warnings) == (driver == "waypoints")

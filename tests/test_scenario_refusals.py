@@ -1,6 +1,6 @@
-"""Any fault of a scenario becomes one line.
+"""Every fault of a scenario becomes one line.
 
-The file, the field, its value, what is wrong, what is allowed.
+The line names file, field, value, cause, and allowed values.
 """
 
 import math
@@ -26,7 +26,7 @@ from tabular import rows
 ESCORT = load_scenario("escort")
 
 
-# What is refused: every check has a row, with the field, its value and what is allowed
+# Refusals: every check has a row with the field, its value and the allowed values
 
 CHECK = {check.__name__: check for check in CHECKS}
 BROKEN = [
@@ -160,7 +160,7 @@ def test_refusal_names_file_field_value_and_allowed_values(
     line = refusal(overrides=overrides)
     head, _, rest = line.partition("; allowed: ")
     assert head.startswith(f"escort: {field}")
-    assert head.removeprefix(f"escort: {field}")[0] in ":,"  # the value is the whole value
+    assert head.removeprefix(f"escort: {field}")[0] in ":,"  # the value is complete
     assert allowed in rest
 
 
@@ -281,7 +281,7 @@ dt=0.3 | duration = 200.0: not a whole number of ticks; allowed: multiples of dt
 
 
 @pytest.mark.parametrize(("change", "start"), CHANGES)
-def test_a_change_that_cannot_be_made_is_told_in_our_words(change: str, start: str) -> None:
+def test_impossible_override_is_a_scenario_error(change: str, start: str) -> None:
     line = refusal(overrides=[change])
     assert line.startswith(f"escort: {start}")
     assert len(line) < 250 or "unknown field" in line
@@ -337,7 +337,7 @@ def test_unknown_scenario_lists_the_known_and_the_closest(source: str) -> None:
     assert ("did you mean 'escort'?" in line) == ("esc" in source)
 
 
-# Garbage
+# Invalid files and values
 
 FUZZ = settings(
     max_examples=200,
@@ -357,7 +357,7 @@ ODD = (
 
 
 def paths(value: object, path: tuple[str, ...] = ()) -> list[str]:
-    """The path of every table, list and value of the escort."""
+    """Return the path of every table, list and value of the escort."""
     inner = value.items() if isinstance(value, dict) else ()
     inner = enumerate(value) if isinstance(value, tuple) else inner
     return [".".join(path)] * bool(path) + [
@@ -379,14 +379,14 @@ def must_load_or_be_refused_in_one_line(source, overrides=()) -> None:
     if not refused:
         assert check_scenario(scenario) == scenario
         scenario_warnings(scenario)
-        assert_vehicles_can_be_told(scenario)
+        assert_briefings_can_be_sent(scenario)
 
 
-def assert_vehicles_can_be_told(scenario: Scenario) -> None:
-    """A scenario that loads fits the messages' own bounds."""
+def assert_briefings_can_be_sent(scenario: Scenario) -> None:
+    """Check that the briefings of a valid scenario fit the bounds of the messages."""
     for vehicle in scenario.vehicles:
-        told = briefing(scenario, vehicle.name, scenario.seed)
-        assert msgspec.json.decode(msgspec.json.encode(told), type=type(told)) == told
+        briefed = briefing(scenario, vehicle.name, scenario.seed)
+        assert msgspec.json.decode(msgspec.json.encode(briefed), type=type(briefed)) == briefed
 
 
 @FUZZ

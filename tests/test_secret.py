@@ -1,4 +1,4 @@
-"""The run's secret: who makes one, who is told, and that whoever gives the same one flies the same bits."""
+"""The secret of a run: its creation, its readers, and the same bits for the same secret."""
 
 import json
 import re
@@ -49,7 +49,7 @@ def _mode(path: Path) -> int:
     return stat.S_IMODE(path.stat().st_mode)
 
 
-# who is told
+# readers
 
 
 @pytest.mark.parametrize("kind", [key.message for key in KEYS], ids=lambda kind: kind.__name__)
@@ -107,7 +107,7 @@ def test_secret_flight_survives_rejoin_and_reset_over_the_bus(tmp_path: Path) ->
             await_status(lambda status: status.tick > 110)
             send(Control(action=Action.RESET))
 
-        def slowly() -> None:  # else the flight may end before it is reset
+        def slowly() -> None:  # otherwise the run may end before the reset
             if going.server.flight.episode == 0:
                 time.sleep(0.02)
 
@@ -121,8 +121,8 @@ def test_secret_runs_fly_alike_and_leave_private_files(tmp_path: Path, secret_fi
     written = {}
     for name, more in {"three": (), "one": ("--in-process",)}.items():
         folder, recorded = tmp_path / name, tmp_path / f"{name}.mcap"
-        told = ("escort", "--duration", "5", "--secret", secret_file, "--out", str(folder))
-        done = outrider("run", *told, "--record", str(recorded), "--no-picture", "--json", *more)
+        options = ("escort", "--duration", "5", "--secret", secret_file, "--out", str(folder))
+        done = outrider("run", *options, "--record", str(recorded), "--no-picture", "--json", *more)
         assert done.returncode == 0, done.stderr
         assert SECRET not in done.stderr
         written[name] = json.loads((folder / "summary.json").read_bytes())
@@ -137,14 +137,14 @@ def test_secret_runs_fly_alike_and_leave_private_files(tmp_path: Path, secret_fi
     assert hashes != {run(SHORT).trajectory_sha256}
 
 
-# who makes one
+# creation
 
 
 @pytest.mark.parametrize("is_private", [True, False])
 def test_only_a_simulator_with_credentials_makes_a_secret(
     is_private, endpoint, tmp_path, monkeypatch
 ):
-    """Its processes are started one by one."""
+    """The processes are started one by one."""
     monkeypatch.delenv(VARIABLE, raising=False)
     known = tmp_path / "credentials"
     assert outrider("credentials", str(known), "--scenario", "escort").returncode == 0
@@ -153,8 +153,8 @@ def test_only_a_simulator_with_credentials_makes_a_secret(
         return ["--credentials", str(known / f"{name}.json")] if is_private else []
 
     with ExitStack() as stack:
-        told = ("simulator", "--duration", "2", "--json", "--listen", endpoint)
-        simulator = stack.enter_context(started(*told, *own("router")))
+        options = ("simulator", "--duration", "2", "--json", "--listen", endpoint)
+        simulator = stack.enter_context(started(*options, *own("router")))
         vehicles = [
             stack.enter_context(started(name[:3], "--connect", endpoint, *own(name)))
             for name in ("ugv_0", "uav_0")

@@ -1,4 +1,4 @@
-"""The ground under the vehicles and the tiles that their sensors tell, against plain arithmetic."""
+"""The ground under the vehicles and the tiles that their sensors report, against plain arithmetic."""
 
 import math
 from typing import Any
@@ -27,8 +27,10 @@ FLAG = Hazard(kind="find", center=(8.0, 8.0), radius=0.2)
 EAST = (0.1, 0.0)
 
 
-def on(*hazards: Hazard, at: tuple[float, float] = (8.0, 6.0), **ground: Any) -> Scenario:
-    """A UAV above a UGV on ground with these hazards."""
+def scenario_with(
+    *hazards: Hazard, at: tuple[float, float] = (8.0, 6.0), **ground: Any
+) -> Scenario:
+    """Return a UAV above a UGV on ground with these hazards."""
     plain = small("tracking")
     (uav,), (ugv,) = plain.uav, plain.ugv
     return msgspec.structs.replace(
@@ -43,7 +45,7 @@ def on(*hazards: Hazard, at: tuple[float, float] = (8.0, 6.0), **ground: Any) ->
 def drive(
     world: World, ticks: int, ugv=EAST, uav=(0.02, 0.01)
 ) -> list[list[tuple[TileReport, ...]]]:
-    """The tiles that are told of at each tick, of UAV and UGV."""
+    """Return the tiles that UAV and UGV report at each tick."""
     seen = [[world.seen_ground(k) for k in (0, 1)]]
     for _ in range(ticks):
         world.send(0, world.tick, uav)
@@ -58,19 +60,19 @@ def places(seen: tuple[TileReport, ...]) -> set[tuple[int, int]]:
 
 
 def test_uav_reports_a_tile_once_after_seeing_its_center() -> None:
-    scenario = on(DISC, MUD)
+    scenario = scenario_with(DISC, MUD)
     world = World(scenario, 1)
     tile, every, dt = scenario.ground.tile, 5, scenario.dt
     rows, columns = world.ground.tiles.shape[1:]
     y, x = (np.mgrid[0:rows, 0:columns] + 0.5) * tile
-    seen_for, told = np.zeros((rows, columns)), set[tuple[int, int]]()
+    seen_for, reported = np.zeros((rows, columns)), set[tuple[int, int]]()
     for tick in range(1, 301):
         (_, now), *_ = [drive(world, 1)]
-        now_told = places(now[0])
-        assert not told & now_told
-        told |= now_told
+        reported_now = places(now[0])
+        assert not reported & reported_now
+        reported |= reported_now
         if tick % every:
-            assert not now_told
+            assert not reported_now
             continue
         (p_x, p_y), reach = world.position[0].tolist(), scenario.sensor.range
         rho2 = (x - p_x) ** 2 + (y - p_y) ** 2
@@ -80,18 +82,18 @@ def test_uav_reports_a_tile_once_after_seeing_its_center() -> None:
         expected = set(
             zip(*map(list, np.nonzero(seen_for >= scenario.coverage.desired)), strict=True)
         )
-        assert {p for p in told ^ expected if sure[p]} == set()
-    assert len(told) > 50
+        assert {p for p in reported ^ expected if sure[p]} == set()
+    assert len(reported) > 50
 
 
 def test_bumper_reports_tiles_within_its_range() -> None:
-    scenario = on(DISC, MUD, sensing_range=0.9, tile=0.4)
-    world, told, truth = World(scenario, 1), set[tuple[int, int]](), {}
+    scenario = scenario_with(DISC, MUD, sensing_range=0.9, tile=0.4)
+    world, reported, truth = World(scenario, 1), set[tuple[int, int]](), {}
     tiles = world.ground.tiles[0]
     for tick in range(200):
         seen = world.seen_ground(1)
-        assert not told & places(seen)
-        told |= places(seen)
+        assert not reported & places(seen)
+        reported |= places(seen)
         truth |= {(one.row, one.column): one.state for one in seen}
         x, y = world.position[1]
         for row in range(tiles.shape[0]):
@@ -99,15 +101,15 @@ def test_bumper_reports_tiles_within_its_range() -> None:
                 d_x = max(0.4 * column - x, x - 0.4 * (column + 1), 0.0)
                 d_y = max(0.4 * row - y, y - 0.4 * (row + 1), 0.0)
                 if math.hypot(d_x, d_y) <= 0.9 - 1e-9:
-                    assert (row, column) in told, tick
+                    assert (row, column) in reported, tick
         drive(world, 1)
-    assert all(truth[place] == "?.~#*"[tiles[place]] for place in told)
-    assert {BLOCK, CLEAR} <= {int(tiles[place]) for place in told}
+    assert all(truth[place] == "?.~#*"[tiles[place]] for place in reported)
+    assert {BLOCK, CLEAR} <= {int(tiles[place]) for place in reported}
 
 
 @pytest.mark.parametrize(("chances", "wrong"), [({"miss": 1.0}, "."), ({"false_alarm": 1.0}, "#")])
 def test_misses_and_false_alarms_are_the_uavs_alone(chances: dict[str, float], wrong: str) -> None:
-    world = World(on(DISC, MUD, FLAG, **chances), 1)
+    world = World(scenario_with(DISC, MUD, FLAG, **chances), 1)
     tiles = world.ground.tiles[0]
     seen = drive(world, 200)
     of_uav = {(t.row, t.column): t.state for tick in seen for t in tick[0]}
@@ -121,17 +123,17 @@ def test_misses_and_false_alarms_are_the_uavs_alone(chances: dict[str, float], w
 
 def test_miss_chance_of_a_half_misses_half_by_seed() -> None:
     field = Hazard(kind="rough", center=(8.0, 6.0), radius=4.0)
-    told = []
+    reports = []
     for seed in (1, 2):
-        seen = drive(World(on(field, miss=0.5), seed), 200)
-        told.append({(t.row, t.column): t.state for tick in seen for t in tick[0]})
-    assert told[0] != told[1]
-    count = sum(state == "~" for one in told for state in one.values())
-    assert 0.4 < count / sum(map(len, told)) < 0.6
+        seen = drive(World(scenario_with(field, miss=0.5), seed), 200)
+        reports.append({(t.row, t.column): t.state for tick in seen for t in tick[0]})
+    assert reports[0] != reports[1]
+    count = sum(state == "~" for one in reports for state in one.values())
+    assert 0.4 < count / sum(map(len, reports)) < 0.6
 
 
 def test_a_ugv_that_touches_what_blocks_stays_at_its_edge() -> None:
-    world = World(on(DISC), 1)
+    world = World(scenario_with(DISC), 1)
     drive(world, 600)
     assert world.position[1].tolist() == pytest.approx([9.5, 6.0], abs=1e-9)
     assert world.velocity[1].tolist() == [0.0, 0.0]
@@ -140,7 +142,7 @@ def test_a_ugv_that_touches_what_blocks_stays_at_its_edge() -> None:
 
 
 def test_with_damage_it_drives_on_and_each_hazard_counts_once() -> None:
-    world = World(on(DISC, touch="damage"), 1)
+    world = World(scenario_with(DISC, touch="damage"), 1)
     drive(world, 600)
     assert world.position[1, 0] > 11.0
     assert (world.mission.hazards_hit, world.mission.near_misses) == (1, 0)
@@ -148,7 +150,7 @@ def test_with_damage_it_drives_on_and_each_hazard_counts_once() -> None:
 
 def test_no_fast_ugv_jumps_over_a_thin_wall() -> None:
     wall = Hazard(kind="block", polygon=((9.0, 4.0), (9.002, 4.0), (9.002, 8.0), (9.0, 8.0)))
-    scenario = on(wall)
+    scenario = scenario_with(wall)
     fast = msgspec.structs.replace(scenario.ugv[0], max_speed=9.0, max_acceleration=50.0)
     world = World(msgspec.structs.replace(scenario, ugv=(fast,)), 1)
     drive(world, 20, ugv=(50.0, 0.0))
@@ -156,7 +158,7 @@ def test_no_fast_ugv_jumps_over_a_thin_wall() -> None:
 
 
 def test_rough_ground_slows_the_ugv_and_only_there() -> None:
-    world, speeds = World(on(MUD, at=(4.0, 6.0)), 1), list[tuple[float, float]]()
+    world, speeds = World(scenario_with(MUD, at=(4.0, 6.0)), 1), list[tuple[float, float]]()
     for _ in range(1300):
         drive(world, 1)
         speeds.append((float(world.position[1, 0]), float(np.hypot(*world.velocity[1]))))
@@ -168,16 +170,19 @@ def test_rough_ground_slows_the_ugv_and_only_there() -> None:
 
 
 def test_perception_depends_on_seen_ground_alone() -> None:
-    """Another hazard far away changes no bit, until a tile is told of that it touches."""
+    """Another hazard far away changes no bit until a reported tile touches it."""
     far, farther = (Hazard(kind="block", center=(x, 6.0), radius=0.5) for x in (13.0, 14.0))
-    flights = [drive(World(on(DISC, hazard), 1), 300, uav=(0.01, 0.0)) for hazard in (far, farther)]
+    flights = [
+        drive(World(scenario_with(DISC, hazard), 1), 300, uav=(0.01, 0.0))
+        for hazard in (far, farther)
+    ]
     touched = range(24, 30)
     for one, other in zip(*flights, strict=True):
         if any(tile.column in touched for seen in (*one, *other) for tile in seen):
             break
         assert one == other
     else:
-        pytest.fail("nobody has come near")
+        pytest.fail("no tile near the hazard was reported")
 
 
 def blocks_received(flight: Flight) -> dict[int, tuple[MapUpdate, ...]]:
@@ -193,21 +198,21 @@ def blocks_received(flight: Flight) -> dict[int, tuple[MapUpdate, ...]]:
         MapUpdate(column=1000, row=52_417, tiles="?" * 64),
         MapUpdate(column=0, row=3, tiles="?" * 64),
     ],
-    ids=["not told", "beyond the area", "nothing known"],
+    ids=["not sensed", "beyond the area", "nothing known"],
 )
 def test_block_beyond_the_uavs_sensor_data_is_not_sent(
     forged: MapUpdate,
 ) -> None:
-    scenario = msgspec.structs.replace(on(DISC), duration=5.0)
+    scenario = msgspec.structs.replace(scenario_with(DISC), duration=5.0)
     flight = Flight(scenario, 1)
     flight.fly(altered(make_pilots(scenario, 1), "uav_0", lambda _: {"map_updates": (forged,)}))
     assert flight.radio.refused == {"uav_0": scenario.ticks}
     assert not blocks_received(flight)
 
 
-def test_no_number_is_smuggled_by_what_a_block_leaves_out() -> None:
-    """A UAV that says a tile for a 1 and nothing for a 0: the UGV receives all that the sensor has told."""
-    scenario = msgspec.structs.replace(on(DISC, MUD), duration=20.0)
+def test_omitted_tiles_of_a_block_carry_no_information() -> None:
+    """Let a UAV report a tile for a 1 and omit it for a 0: the UGV receives all tiles of the sensor."""
+    scenario = msgspec.structs.replace(scenario_with(DISC, MUD), duration=20.0)
 
     pilots = make_pilots(scenario, 1)
     act = pilots["uav_0"].act
@@ -229,7 +234,7 @@ def test_no_number_is_smuggled_by_what_a_block_leaves_out() -> None:
 
 
 def test_relative_information_comes_five_times_a_second() -> None:
-    scenario = msgspec.structs.replace(on(DISC), duration=10.0)
+    scenario = msgspec.structs.replace(scenario_with(DISC), duration=10.0)
 
     def talkative(observation: UavObservation) -> dict[str, Any]:
         now = observation.tick * scenario.dt
@@ -243,36 +248,36 @@ def test_relative_information_comes_five_times_a_second() -> None:
 
     flight, received = Flight(scenario, 1), []
 
-    def note() -> None:
+    def record_radio() -> None:
         received.extend(flight.observations()["ugv_0"].radio)  # type: ignore[union-attr]
 
-    flight.fly(altered(make_pilots(scenario, 1), "uav_0", talkative), on_tick=note)
+    flight.fly(altered(make_pilots(scenario, 1), "uav_0", talkative), on_tick=record_radio)
     ticks = list(range(0, scenario.ticks, 4))
-    assert [one.time for one in received] == [tick * scenario.dt for tick in ticks]  # to the bit
+    assert [one.time for one in received] == [tick * scenario.dt for tick in ticks]  # exactly
     assert flight.radio.refused == {"uav_0": 4 * scenario.ticks - len(ticks)}
 
 
-def test_the_sign_of_a_zero_carries_nothing_either() -> None:
-    scenario = msgspec.structs.replace(on(DISC), duration=1.0)
-    told = RelativeInformation(time=-0.0, relative_position=(1.0, 2.0), coverage_error=0.0)
+def test_sign_of_a_zero_carries_no_information() -> None:
+    scenario = msgspec.structs.replace(scenario_with(DISC), duration=1.0)
+    message = RelativeInformation(time=-0.0, relative_position=(1.0, 2.0), coverage_error=0.0)
     flight, received = Flight(scenario, 1), []
 
-    def note() -> None:
+    def record_radio() -> None:
         received.extend(flight.observations()["ugv_0"].radio)  # type: ignore[union-attr]
 
-    pilots = altered(make_pilots(scenario, 1), "uav_0", lambda _: {"radio": (told,)})
-    flight.fly(pilots, on_tick=note)
+    pilots = altered(make_pilots(scenario, 1), "uav_0", lambda _: {"radio": (message,)})
+    flight.fly(pilots, on_tick=record_radio)
     assert [math.copysign(1.0, one.time) for one in received] == [1.0]
 
 
 def test_ugv_receives_the_ground_the_uav_has_seen() -> None:
-    scenario = msgspec.structs.replace(on(DISC, MUD), duration=30.0)
+    scenario = msgspec.structs.replace(scenario_with(DISC, MUD), duration=30.0)
     flight = Flight(scenario, 1)
     flight.fly(InProcess(make_pilots(scenario, 1)))
     known = flight.world.ground.known[0, 0]
     received = np.zeros_like(known)
     for tick, blocks in blocks_received(flight).items():
-        assert tick % 5 == 1  # four in a second, and a tick by radio
+        assert tick % 5 == 1  # four times per second, delayed by one tick of radio
         for block in blocks:
             for place, letter in enumerate(block.tiles):
                 row, column = block.row * 8 + place // 8, block.column * 8 + place % 8
@@ -284,13 +289,13 @@ def test_ugv_receives_the_ground_the_uav_has_seen() -> None:
     assert {BLOCK, ROUGH} <= set(received.ravel().tolist())
 
 
-def test_the_mission_tells_how_long_before_each_hazard_was_known() -> None:
-    scenario = on(DISC, MUD, at=(7.2, 5.7), touch="damage")
+def test_mission_reports_the_warning_time_of_each_hazard() -> None:
+    scenario = scenario_with(DISC, MUD, at=(7.2, 5.7), touch="damage")
     world = World(scenario, 1)
     block = MapUpdate(column=2, row=1, tiles="." * 32 + "....##.." + "." * 24)
     for tick in range(401):
         if tick == 20:
-            world.receive_block(1, block)  # of two tiles of DISC
+            world.receive_block(1, block)  # with two tiles of DISC
         drive(world, 1)
     mission = world.mission
     assert (mission.hazards_on_path, mission.warned, mission.hazards_hit) == (2, 1, 1)
@@ -299,18 +304,18 @@ def test_the_mission_tells_how_long_before_each_hazard_was_known() -> None:
 
 
 def test_distance_seen_ahead_is_on_tiles_known_by_then() -> None:
-    world = World(on(FLAG, at=(7.2, 5.7)), 1)
-    block, told = MapUpdate(column=2, row=1, tiles="." * 64), False
+    world = World(scenario_with(FLAG, at=(7.2, 5.7)), 1)
+    block, known = MapUpdate(column=2, row=1, tiles="." * 64), False
     side, way, seen = BLOCK_SIDE * world.scenario.ground.tile, 0.0, 0.0
     for _ in range(401):
         before = world.position[1].tolist()
-        if not told and [p // side for p in before] == [block.column, block.row]:
-            world.receive_block(1, block)  # where it has come to
-            told = True
+        if not known and [p // side for p in before] == [block.column, block.row]:
+            world.receive_block(1, block)  # the block around the UGV
+            known = True
         drive(world, 1)
         here = world.position[1].tolist()
         way += math.dist(before, here)
-        if told and [p // side for p in here] == [block.column, block.row]:
+        if known and [p // side for p in here] == [block.column, block.row]:
             seen += math.dist(before, here)
     assert 0.1 * way < seen < 0.9 * way
     assert world.mission.reported_share == pytest.approx(seen / way, rel=1e-9)
@@ -322,9 +327,9 @@ def test_hazard_clearance_is_the_smallest_distance() -> None:
         Hazard(kind="block", center=(float(x), float(y)), radius=0.3)
         for x, y in rng.uniform(0.5, 11.5, (40, 2))
     ]
-    world = World(on(*discs, at=(3.0, 3.0), touch="damage"), 1)
+    world = World(scenario_with(*discs, at=(3.0, 3.0), touch="damage"), 1)
     state, track = world.ground, [world.position[1].copy()]
-    for tick in range(700):  # out and back: farther than its hazards are listed for
+    for tick in range(700):  # out and back: farther than the range of its list of hazards
         drive(world, 1, ugv=(0.1, 0.06) if tick < 350 else (-0.1, 0.02))
         track.append(world.position[1].copy())
     away = np.array([np.hypot(*(np.array(track) - one.center).T) - one.radius for one in discs])
@@ -336,7 +341,7 @@ def test_hazard_clearance_is_the_smallest_distance() -> None:
     assert (state.met[0, 0] == np.where(on_way, first, 0)).all()
 
 
-def test_without_hazards_nothing_is_told_and_nothing_is_kept() -> None:
+def test_no_tiles_are_sensed_or_stored_without_hazards() -> None:
     world = World(small("tracking"), 1)
     assert drive(world, 5) == [[(), ()]] * 6
     assert world.mission is None
@@ -344,7 +349,7 @@ def test_without_hazards_nothing_is_told_and_nothing_is_kept() -> None:
 
 
 def test_every_ugv_has_a_bumper_of_its_own() -> None:
-    scenario = on(DISC)
+    scenario = scenario_with(DISC)
     second = Ugv(name="ugv_1", position=(2.0, 2.0))
     world = World(msgspec.structs.replace(scenario, ugv=(*scenario.ugv, second)), 1)
     assert not places(world.seen_ground(1)) & places(world.seen_ground(2))

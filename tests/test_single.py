@@ -1,4 +1,4 @@
-"""One vehicle, one world: world 0 of the vector environment to the bit, and what Gymnasium asks of an environment."""
+"""One vehicle, one world: world 0 of the vector environment to the bit, and Gymnasium's requirements."""
 
 import math
 import warnings
@@ -77,6 +77,6 @@ def test_metrics_are_plain_numbers() -> None:
     env = single_env(SCENARIO)
     env.reset(seed=1)
     env.step([0.0, 0.0])
-    told = env.metrics()["uav_0"]
-    assert told["ticks"] == 1.0
-    assert all(type(value) is float for value in told.values())
+    metrics = env.metrics()["uav_0"]
+    assert metrics["ticks"] == 1.0
+    assert all(type(value) is float for value in metrics.values())

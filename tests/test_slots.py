@@ -1,6 +1,6 @@
 """The slots of a run, with real sessions.
 
-Second sessions, vehicles that come back with their past, real time, pause and step.
+Second sessions, vehicles that rejoin with their past, real time, pause and step.
 """
 
 import threading
@@ -26,12 +26,12 @@ from sim.engine.briefing import briefing
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario
 from sim.server.flight import Flight
-from staging import GIVEN, PILOT, Vehicle, client_of, hosted, stage, whole, zenoh_of
+from staging import GIVEN, PILOT, Vehicle, client_of, hosted, local_flight, stage, zenoh_of
 
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])
 def test_rejoined_vehicle_with_its_past_flies_the_same_bits(victim, tmp_path):
-    """More ticks than one part of a briefing holds; the newcomer knows nothing but what it is told."""
+    """Use more ticks than fit one part of a briefing; the new process knows only its briefing."""
     with stage(tmp_path, 1500, respawn=True) as run:
         run.start("uav_0" if victim == "ugv_0" else "ugv_0")
         run.start(victim, until=1233, again=True)
@@ -40,7 +40,7 @@ def test_rejoined_vehicle_with_its_past_flies_the_same_bits(victim, tmp_path):
     first, later = (vehicle for vehicle in run.vehicles if vehicle.name == victim)
     assert [seen.tick for seen in first.seen] == list(range(1234))
     assert [seen.tick for seen in later.seen] == list(range(1500))
-    assert flight.recorder.sha256() == whole(1500).recorder.sha256()
+    assert flight.recorder.sha256() == local_flight(1500).recorder.sha256()
     assert flight.answers.first_missing is None
     assert (statuses[victim].lost, statuses[victim].rejoined) == (1, 1)
     assert run.events == [
@@ -65,7 +65,7 @@ def test_a_vehicle_that_the_scenario_lacks_is_refused(tmp_path, is_open):
 @pytest.mark.parametrize("scenario", [degraded(400, LinkTable()), degraded(400)], ids=["", "late"])
 def test_a_past_is_what_the_vehicle_has_perceived(scenario: Scenario) -> None:
     flight = Flight(scenario, 7)
-    pilots = {name: PILOT[name](told) for name, told in _briefings(scenario).items()}
+    pilots = {name: PILOT[name](briefed) for name, briefed in _briefings(scenario).items()}
     seen: dict[str, list[Any]] = {name: [] for name in pilots}
     for _ in range(300):
         flight.teleoperate("ugv_0", Teleoperation(operator="me", velocity=(0.1, 0.0)))
@@ -78,7 +78,7 @@ def test_a_past_is_what_the_vehicle_has_perceived(scenario: Scenario) -> None:
         )
     assert any(observation.radio for observation in seen["ugv_0"])
     assert any(not observation.detections for observation in seen["uav_0"])
-    for name, observed in seen.items():  # the past does not say which motion was flown
+    for name, observed in seen.items():  # the past does not contain the flown trajectory
         seen[name] = [
             msgspec.structs.replace(one, committed_trajectory=None) for one in observed[:300]
         ]
@@ -101,7 +101,7 @@ def _briefings(scenario: Scenario) -> dict[str, Any]:
 
 
 def test_lost_vehicle_brakes_and_returns_without_missed_data(tmp_path):
-    """Without respawn the clock does not wait; what was detected while nobody was there stays unknown."""
+    """Without respawn the clock does not wait; detections during the absence remain unknown."""
     with stage(tmp_path, 20_000) as run:
         run.start("ugv_0")
         run.start("uav_0", until=100)
@@ -111,7 +111,7 @@ def test_lost_vehicle_brakes_and_returns_without_missed_data(tmp_path):
         def come_back() -> None:
             if flight.world.tick >= 300 and not started.is_set():
                 started.set()
-                # the clock waits here, else the UGV may be out of its sight by then
+                # the clock waits here, otherwise the UGV may already be out of sight
                 run.start("uav_0")
                 wait_until(lambda: run.server.vehicles()["uav_0"].rejoined)
                 returned.append(flight.world.tick)
@@ -131,7 +131,7 @@ def test_lost_vehicle_brakes_and_returns_without_missed_data(tmp_path):
     assert (abs(flight.recorder.states[165:back, 0, 2:4]) < 1e-9).all()
 
 
-def test_a_vehicle_that_does_not_come_back_is_given_up_once(tmp_path: Path) -> None:
+def test_vehicle_that_does_not_return_is_given_up_once(tmp_path: Path) -> None:
     with stage(tmp_path, 60, respawn=True, join_timeout=0.4) as run:
         run.start("ugv_0")
         run.start("uav_0", until=20)
@@ -162,10 +162,10 @@ def test_second_session_is_counted_and_ignored(tmp_path):
 
         flight = run.fly(intrude)
         status = run.server.vehicles()["uav_0"]
-    assert flight.recorder.sha256() == whole(400).recorder.sha256()
+    assert flight.recorder.sha256() == local_flight(400).recorder.sha256()
     assert status.rejected["comes from a second session"] >= 300
     assert status.rejected.keys() == {"comes from a second session"}
-    # Its command may overtake the news that it has come: either tells both sessions.
+    # Its command may arrive before the news of its session: either one reports both sessions.
     assert "a second session (number 1)" in run.events[0]
     assert "the first (number 0) stays active" in run.events[0]
     assert len(run.events) == 1
@@ -185,7 +185,7 @@ def test_second_session_takes_a_free_slot(tmp_path: Path) -> None:
                 wait_until(lambda: run.server.vehicles()["uav_0"].rejected != {})
 
         flight = run.fly(stand_by)
-    assert flight.recorder.sha256() == whole(300).recorder.sha256()
+    assert flight.recorder.sha256() == local_flight(300).recorder.sha256()
     assert [seen.tick for seen in run.vehicles[2].seen] == list(range(300))
 
 
@@ -195,21 +195,21 @@ def test_punctual_real_time_flies_the_lockstep_bits(tmp_path):
         started: list[float] = []
         flight = run.fly(lambda: started.append(time.monotonic()))
     seconds = started[-1] - started[0]
-    # never faster than asked for; how much slower is the machine's affair
+    # never faster than requested; how much slower depends on the machine
     assert seconds >= 99 * 0.025 - 0.05
     if flight.answers.first_missing is None:
-        assert flight.recorder.sha256() == whole(100).recorder.sha256()
+        assert flight.recorder.sha256() == local_flight(100).recorder.sha256()
     assert flight.answers.missing["uav_0"] + flight.answers.missing["ugv_0"] < 100
 
 
 def test_in_real_time_a_slow_vehicle_degrades_itself_only(tmp_path: Path) -> None:
-    """The UAV takes 0.1 s for an answer where a tick lasts 0.025 s: its commands are used late, the UGV's in time."""
+    """The UAV needs 0.1 s per answer and a tick lasts 0.025 s: its commands are used late, those of the UGV in time."""
     with stage(tmp_path, 100, realtime=2.0) as run:
         uav = run.start("uav_0", on_tick=lambda _tick: time.sleep(0.1))
         run.start("ugv_0")
         flight = run.fly()
         status = run.server.vehicles()
-    assert len(uav.seen) < 50  # it answers the newest, and does not fall further and further behind
+    assert len(uav.seen) < 50  # it answers the newest observation, and does not fall behind further
     assert uav.seen[-1].tick > 80
     assert flight.complete
     assert status["uav_0"].stale_commands >= 3
@@ -218,7 +218,7 @@ def test_in_real_time_a_slow_vehicle_degrades_itself_only(tmp_path: Path) -> Non
 
 
 def test_real_time_uses_commands_by_age_and_then_brakes() -> None:
-    """Commands are held for `command_timeout` after the tick they answer, however late they have come."""
+    """Commands remain in effect for `command_timeout` after the tick they answer, however late they arrive."""
     scenario = load_scenario("escort", overrides=["duration=5.0", "command_timeout=0.2"])
     flight = Flight(scenario, 7)
     ugv = flight.world.names.index("ugv_0")
@@ -238,8 +238,8 @@ def test_real_time_uses_commands_by_age_and_then_brakes() -> None:
     assert step(None) < 0.0  # tick 5: too old
     assert step(3) == 0.05  # tick 6: late, 3 ticks old
     assert step(None) == 0.05  # tick 7: 4 ticks old
-    assert step(None) < 0.0  # tick 8
-    assert step(3) <= 0.0  # tick 9: what comes too late is not flown
+    assert step(None) < 0.0  # tick 8: too old again
+    assert step(3) <= 0.0  # tick 9: too late to be flown
     assert flight.answers.first_missing == 1
     assert flight.answers.missing["ugv_0"] == 7
 
@@ -257,10 +257,10 @@ def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
 
     with stage(tmp_path, 300) as run:
         run.start_both()
-        # slowly, so that the flight does not end before its operator is received
+        # slowly, so that the run does not end before the operator's message
         flight = run.fly(lambda: received.wait(0.02) and None, operator=work)
     assert flight.complete
-    assert flight.recorder.sha256() == whole(300).recorder.sha256()
+    assert flight.recorder.sha256() == local_flight(300).recorder.sha256()
 
 
 @pytest.mark.parametrize(
@@ -269,9 +269,9 @@ def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
     ids=["readable", "unreadable"],
 )
 def test_a_flood_of_messages_neither_stops_the_clock_nor_the_end(payload, tmp_path):
-    """The UGV answers nothing and never stops talking.
+    """The UGV answers nothing and sends without end.
 
-    It is late like any other, and the session closes while it goes on.
+    It is late like any other vehicle, and the session closes meanwhile.
     """
     over = threading.Event()
     with stage(tmp_path, 2, deadline=0.3) as run:
@@ -303,12 +303,14 @@ def test_a_flood_of_messages_neither_stops_the_clock_nor_the_end(payload, tmp_pa
     assert sum(refused.values()) > 100
     assert [seen.tick for seen in uav.seen] == [0, 1]
     late = [event for event in run.events if "is late" in event]
-    assert late == ["ugv_0 is late: no command for tick 0 after 1.8 s"]  # told once, then counted
+    assert late == [
+        "ugv_0 is late: no command for tick 0 after 1.8 s"
+    ]  # reported once, then counted
 
 
 @pytest.mark.parametrize(("slow_at", "missing"), [(0, 0), (3, 1)])
 def test_only_a_first_answer_may_take_several_deadlines(slow_at, missing, tmp_path) -> None:
-    """A vehicle compiles before its first answer, the first time on a machine."""
+    """A vehicle compiles before its first answer on a new machine."""
     with stage(tmp_path, 6, deadline=0.3) as run:
         run.start("uav_0")
         run.start("ugv_0", on_tick=lambda tick: time.sleep(0.8 if tick == slow_at else 0.0))
@@ -321,7 +323,7 @@ def test_wrong_or_second_answers_are_counted_and_ignored(tmp_path):
     scenario = load_scenario("escort", overrides=["duration=1.0"])
 
     def confused(commands: Any, tick: int) -> None:
-        """Answers the next tick, this one, and this one again."""
+        """Answer the next tick, this one, and this one again."""
         for answered in (tick + 1, tick, tick):
             commands.send(UgvCommand(tick=answered, acceleration=(0.01, 0.0)))
 
@@ -331,7 +333,7 @@ def test_wrong_or_second_answers_are_counted_and_ignored(tmp_path):
         flight = run.fly()
         status = run.server.vehicles()["ugv_0"]
     assert status.rejected["answers another tick"] == 20
-    assert status.rejected["answers a tick twice"] >= 19  # the last one may come after the end
+    assert status.rejected["answers a tick twice"] >= 19  # the last one may arrive after the end
     assert "at tick" in status.last_fault
     assert flight.answers.missing == {"uav_0": 0, "ugv_0": 0}
     once = Flight(scenario, scenario.seed)
@@ -346,9 +348,9 @@ def test_wrong_or_second_answers_are_counted_and_ignored(tmp_path):
 
 
 def test_vehicle_acts_once_on_each_observation_of_its_run(endpoint: str) -> None:
-    """A simulator that says everything twice and interrupts a briefing comes after one that left messages behind."""
+    """A simulator that sends everything twice and interrupts a briefing follows one that left messages behind."""
     scenario = load_scenario("escort", overrides=["duration=5.0"])
-    told = _briefings(scenario)["uav_0"]
+    briefed = _briefings(scenario)["uav_0"]
     flight = Flight(scenario, 7)
     observations: list[Any] = []
     for _ in range(12):
@@ -368,11 +370,11 @@ def test_vehicle_acts_once_on_each_observation_of_its_run(endpoint: str) -> None
         wait_until(lambda: writers[0][0].wanted and writers[1][1].wanted)
         (old_briefing, old_sight), (briefing, sight) = writers
         part = msgspec.structs.replace
-        old_briefing.send(part(told, past=tuple(observations[:2]), more=True))  # interrupted
-        # two sessions: nothing else says whose words come first
+        old_briefing.send(part(briefed, past=tuple(observations[:2]), more=True))  # interrupted
+        # two sessions: their messages are not ordered otherwise
         wait_until(lambda: len(vehicle.seen) == 2)
-        briefing.send(part(told, past=tuple(observations[:3]), more=True))
-        briefing.send(part(told, past=tuple(observations[3:5])))
+        briefing.send(part(briefed, past=tuple(observations[:3]), more=True))
+        briefing.send(part(briefed, past=tuple(observations[3:5])))
         wait_until(lambda: len(vehicle.seen) == 5)
         old_sight.send(observations[11])
         for k in (4, 5, 5, 6, 5, 7):

@@ -1,4 +1,4 @@
-"""Sweeps: each run a row, whatever happens meanwhile; bad input is one line before anything is flown."""
+"""Sweeps: each run is a row despite interruptions; invalid input is one line before the first run."""
 
 import itertools
 import json
@@ -62,7 +62,7 @@ def flown(folder: Path, plan: SweepPlan, jobs: int = 2) -> dict[str, list[object
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[object]]:
-    """The table of the long sweep when nothing happens to it."""
+    """Return the table of the long sweep without disturbances."""
     plan = plan_of(**SMALL | {"changes": [CELLS, "duration=20.0"], "seeds": 12})
     return flown(tmp_path_factory.mktemp("sweep") / "whole", plan)
 
@@ -76,7 +76,7 @@ def wait_for(there: Callable[[], bool], process: "subprocess.Popen[str]") -> Non
 
 
 def started(*command: str, **settings) -> "subprocess.Popen[str]":
-    """A command in a session of its own."""
+    """Start a command in a session of its own."""
     return subprocess.Popen(
         command, start_new_session=True, stderr=subprocess.PIPE, text=True, **settings
     )
@@ -94,7 +94,7 @@ def refusal(source: str = "escort", **given) -> str:
     return line
 
 
-# What is flown
+# Runs
 
 
 def test_a_sweep_is_the_product_of_laws_values_and_seeds():
@@ -121,8 +121,8 @@ def test_sweep_blocks_vary_one_field_each(tmp_path):
     )
     plan = plan_of(str(tmp_path / "mine.toml"))
     heads = [plan.head(run) for run in range(plan.runs)]
-    told = ("block", "seed", "detections.noise", "detections.dropout")
-    assert [tuple(head[name] for name in told) for head in heads] == [
+    fields = ("block", "seed", "detections.noise", "detections.dropout")
+    assert [tuple(head[name] for name in fields) for head in heads] == [
         *(("noise", seed, noise, 0.1) for noise in (0.2, 0.3) for seed in (10, 11)),
         *(("detections.dropout", seed, 0.4, 0.5) for seed in (10, 11)),
     ]
@@ -135,8 +135,8 @@ def test_values_of_any_kind_can_be_varied():
     assert plan.columns["ugv.0.driver"] == plan.columns["ugv.0.goals"] == "string"
     assert plan.columns["estimator.enabled"] == "bool"
     last = plan.head(plan.runs - 1)
-    told = (last["ugv.0.driver"], last["estimator.enabled"], last["ugv.0.goals"])
-    assert told == ("wander", False, "[[3.5,4.0]]")
+    values_of_last = (last["ugv.0.driver"], last["estimator.enabled"], last["ugv.0.goals"])
+    assert values_of_last == ("wander", False, "[[3.5,4.0]]")
 
 
 def test_profiles_can_be_varied():
@@ -204,7 +204,7 @@ def test_sweep_rows_equal_single_runs_for_any_jobs(tmp_path):
     assert flown(tmp_path / "one", plan, jobs=1) == two
 
 
-def test_violations_are_told_from_visible_runs():
+def test_violations_are_distinguished_from_visible_runs():
     seen = load_scenario("escort", overrides=QUICK)
     lost = load_scenario("figure-1-high-gain", overrides=["duration=80.0", "area.cell=0.5"])
     (good,), (bad,) = fly_runs(seen, {0: 1}), fly_runs(lost, {0: 1})
@@ -247,7 +247,7 @@ def test_small_files_are_merged_and_duplicate_rows_dropped(tmp_path, monkeypatch
         )
     assert parts(folder.path) < 6
     assert (folder.rows, folder.failed) == (11, 1)
-    # 3 was flown again; 4 is there already
+    # run 3 was repeated; row 4 is already there
     folder.add([{**results[0], "run": 3}, {**results[0], "run": 4}])
     assert (folder.rows, folder.failed) == (11, 0)
     file = folder.finish()
@@ -271,9 +271,9 @@ def test_killed_sweep_ends_its_workers_and_resumes(tmp_path, undisturbed):
     assert not (tmp_path / "killed" / "results.parquet").exists()
     again = outrider(*GRID, *LONG, "--jobs", "1", "--out", str(tmp_path / "killed"), "--json")
     assert again.returncode == 0, again.stderr
-    told = json.loads(again.stdout)
-    assert (told["rows"], told["failed"], told["flown"]) == (48, 0, 48 - kept)
-    assert told["runs_per_second"] > 0.0
+    output = json.loads(again.stdout)
+    assert (output["rows"], output["failed"], output["flown"]) == (48, 0, 48 - kept)
+    assert output["runs_per_second"] > 0.0
     assert rows_of(tmp_path / "killed") == undisturbed
 
 
@@ -284,9 +284,9 @@ def test_ctrl_c_keeps_rows_and_leaves_no_process(tmp_path):
     workers = [
         pid for pid in _session(process.pid) if "--multiprocessing-fork" in command_line(pid)
     ]
-    # else one may show where it was interrupted
+    # otherwise one may show where it was interrupted
     blocking = [blocks(pid, signal.SIGINT) for pid in workers]
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
+    os.killpg(process.pid, signal.SIGINT)  # like a terminal: also to the workers
     out, err = process.communicate(timeout=30)
     assert blocking == [True, True]
     assert process.returncode == 130, err
@@ -300,7 +300,7 @@ def test_ctrl_c_keeps_rows_and_leaves_no_process(tmp_path):
 
 
 def _session(number: int) -> list[int]:
-    """Processes of a session that are alive."""
+    """Return the live processes of a session."""
     found = []
     for pid in (int(entry.name) for entry in Path("/proc").iterdir() if entry.name.isdigit()):
         with suppress(OSError):  # it may just have ended
@@ -324,10 +324,10 @@ def test_failed_run_is_a_row_with_its_error(tmp_path):
     command = ["sweep", "escort", *mine, CELLS, *rest]
     swept = outrider(*command, cwd=tmp_path)
     assert swept.returncode == 1, swept.stderr
-    told = json.loads(swept.stdout)
-    assert told["rows"] == 6
-    assert 0 < told["failed"] < 6
-    assert f"{told['failed']} of 6 runs failed" in swept.stderr
+    output = json.loads(swept.stdout)
+    assert output["rows"] == 6
+    assert 0 < output["failed"] < 6
+    assert f"{output['failed']} of 6 runs failed" in swept.stderr
     assert "the wheel came off" in swept.stderr
     rows = rows_of(tmp_path / "out")
     flew = [sha is not None for sha in rows["trajectory_sha256"]]
@@ -337,7 +337,7 @@ def test_failed_run_is_a_row_with_its_error(tmp_path):
     )
     mended = outrider(*command, cwd=tmp_path)
     assert mended.returncode == 0, mended.stderr
-    assert json.loads(mended.stdout)["flown"] == told["failed"]
+    assert json.loads(mended.stdout)["flown"] == output["failed"]
     assert set(rows_of(tmp_path / "out")["error"]) == {None}
 
 
@@ -408,9 +408,9 @@ GIVEN = {
 
 
 @pytest.mark.parametrize("case", GIVEN)
-def test_what_makes_no_sense_is_refused_in_one_line(case):
-    given, told = GIVEN[case]
-    assert told in refusal(**given)
+def test_invalid_sweep_is_refused_in_one_line(case):
+    given, phrase = GIVEN[case]
+    assert phrase in refusal(**given)
 
 
 FILES = {
@@ -431,11 +431,11 @@ FILES = {
 
 
 @pytest.mark.parametrize("case", FILES)
-def test_a_file_that_makes_no_sense_is_refused_in_one_line(case, tmp_path):
-    text, told = FILES[case]
+def test_invalid_sweep_file_is_refused_in_one_line(case, tmp_path):
+    text, phrase = FILES[case]
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     line = refusal(str(tmp_path / "mine.toml"))
-    assert told in line
+    assert phrase in line
     if case != "unknown scenario":
         assert "mine.toml" in line
 
@@ -446,7 +446,7 @@ def test_an_unknown_sweep_names_the_known_ones():
     assert "escort" in line
 
 
-def test_a_sweep_that_says_itself_what_is_varied_takes_no_vary():
+def test_sweep_with_its_own_variation_refuses_vary():
     assert "--vary" in refusal("network", vary=["dt=0.1"])
 
 

@@ -1,4 +1,4 @@
-"""The registry: every row can be flown."""
+"""The registry: every row has an implementation."""
 
 from importlib import import_module
 
@@ -22,7 +22,7 @@ TRACKS: dict[str, bytes] = {}
 
 @pytest.mark.parametrize("name", CODES)
 def test_every_compiled_driver_drives_differently(name: str) -> None:
-    """A row without its branch would drive as another one."""
+    """A row without its branch would drive like another one."""
     scenario = load_scenario("escort", overrides=["duration=8.0"])
     ugv = msgspec.structs.replace(
         scenario.ugv[0], driver=name, script=(ScriptStep(time=0.0, velocity=(0.05, 0.1)),)

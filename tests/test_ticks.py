@@ -1,4 +1,4 @@
-"""Seconds become ticks once, at the edge."""
+"""Conversion of seconds to ticks, once, at the edge."""
 
 import math
 

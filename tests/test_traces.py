@@ -1,4 +1,4 @@
-"""Recorded links: what becomes of each message, against plain Python; the same bits everywhere; bad files."""
+"""Recorded links: the outcome of each message against plain Python; reproducibility; invalid files."""
 
 import json
 import math
@@ -34,9 +34,9 @@ from worlds import step
 DT = 0.05
 AGED = "MEASUREMENT_TOO_OLD"
 TABLE = "# by hand\nsent [s],delay [s]\n5.0,0.1\n5.2,lost\n5.3,0\n5.3,0.24\n5.5,\n5.51,0.05\n"
-"""The round is 0.52 s long, eleven ticks: the last row lasts 10 ms, as the gap before it."""
-HAND = [0.1] * 4 + [None] * 2 + [0.24] * 4 + [None]
-"""Its delays at each tick of 0.05 s."""
+"""One loop takes 0.52 s, eleven ticks: the last row lasts 10 ms, like the gap before it."""
+TICK_DELAYS = [0.1] * 4 + [None] * 2 + [0.24] * 4 + [None]
+"""Delays of the loop at each tick of 0.05 s."""
 MAHIMAHI = "0\n3\n3\n20\n20\n47\n120\n121\n260\n"
 
 
@@ -45,12 +45,12 @@ def a_trace(text: str, name: str = "trace") -> RecordedLink:
 
 
 def offset_of(key: Key, period: int) -> int:
-    """The place of the recording at which a run with this key begins."""
+    """Return the offset in the recording at which a run with this key starts."""
     return int(draw(key, LINK_TRACE, 0, 0)[0]) % period
 
 
 def arrivals(link: OneLink, ticks: int, each: int = 1) -> list[list[int]]:
-    """The numbers of the messages that arrive at each tick; `each` are sent in every tick."""
+    """Return the numbers of the messages that arrive at each tick; `each` are sent in every tick."""
     found = []
     for tick in range(ticks):
         for k in range(each):
@@ -65,12 +65,12 @@ def conserved(link: OneLink) -> bool:
     return status.sent + status.duplicated == left
 
 
-# --- what becomes of each message
+# --- the outcome of each message
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
 @pytest.mark.parametrize("delay", [0.0, 0.12])
-def test_a_message_has_the_fate_of_the_row_nearest_before_it(number: int, delay: float) -> None:
+def test_message_follows_the_last_row_before_it(number: int, delay: float) -> None:
     key, ticks = a_key(number, 5), 100
     link = OneLink(
         LinkSettings(trace="trace", delay=delay), dt=DT, key=key, traces=(a_trace(TABLE),)
@@ -78,7 +78,7 @@ def test_a_message_has_the_fate_of_the_row_nearest_before_it(number: int, delay:
     wanted: list[list[int]] = [[] for _ in range(ticks + 20)]
     lost = 0
     for tick in range(ticks):
-        took = HAND[(tick + offset_of(key, len(HAND))) % len(HAND)]
+        took = TICK_DELAYS[(tick + offset_of(key, len(TICK_DELAYS))) % len(TICK_DELAYS)]
         if took is None:
             lost += 1
         else:
@@ -92,16 +92,18 @@ def test_a_message_has_the_fate_of_the_row_nearest_before_it(number: int, delay:
 def granted(
     times: list[int], size: int, queue: int, newest: bool, dt: float, offset: int, ticks: int
 ) -> tuple[dict[int, int], int]:
-    """When each message leaves [ms], and how many the queue has cost: millisecond by millisecond in plain Python."""
+    """Return when each message leaves [ms], and the messages lost in the queue: millisecond by millisecond in plain
+    Python.
+    """
     period, left, lost, now = times[-1], dict[int, int](), 0, 0
-    waiting: list[tuple[int, int]] = []  # message, bytes that are missing
+    waiting: list[tuple[int, int]] = []  # message, missing bytes
     for tick in range(ticks):
-        begun = 1 if waiting and waiting[0][1] < size else 0
-        if len(waiting) - begun >= queue:
+        sending = 1 if waiting and waiting[0][1] < size else 0
+        if len(waiting) - sending >= queue:
             lost += 1
             if newest:
-                del waiting[begun]
-        if len(waiting) - begun < queue:
+                del waiting[sending]
+        if len(waiting) - sending < queue:
             waiting.append((tick, size))
         until = math.floor(round((tick + 1) * dt * 1000.0, 6))
         while now < until:
@@ -142,16 +144,16 @@ def test_a_recording_is_looped_and_begins_where_the_key_says() -> None:
     traces, settings = (a_trace(TABLE),), LinkSettings(trace="trace")
     p = link_parameters(settings, DT, traces=traces)
     came = [first_arrivals(p, a_key(k), 60) for k in range(40)]
-    fates = [np.where(ticks < 0, -1, ticks - np.arange(60)) for ticks in came]
-    for ticks in fates:
+    outcomes = [np.where(ticks < 0, -1, ticks - np.arange(60)) for ticks in came]
+    for ticks in outcomes:
         assert np.array_equal(ticks[11:44], ticks[:33])
-    assert len({ticks[:11].tobytes() for ticks in fates}) == 11
+    assert len({ticks[:11].tobytes() for ticks in outcomes}) == 11
 
 
 def test_mahimahi_file_combines_with_blackouts_and_losses() -> None:
     traces = (a_trace("1\n"),)
-    dark = LinkSettings(trace="trace", blackouts=((1.0, 1.0),), delay=0.02)
-    link = OneLink(dark, dt=DT, key=a_key(1), traces=traces)
+    blacked_out = LinkSettings(trace="trace", blackouts=((1.0, 1.0),), delay=0.02)
+    link = OneLink(blacked_out, dt=DT, key=a_key(1), traces=traces)
     got = arrivals(link, 60)
     assert got[20:41] == [[19], *([] for _ in range(20))]
     assert link.counters().lost["blackout"] == 20
@@ -169,7 +171,7 @@ def test_planned_blackouts_stand_beside_a_table() -> None:
     assert arrivals(link, 30) == [[k] if not 10 <= k < 20 else [] for k in range(30)]
 
 
-# --- going on under other settings
+# --- changes of settings
 
 BOTH = (a_trace(TABLE, "table"), a_trace(MAHIMAHI, "mahimahi"))
 CHANGES = {
@@ -202,7 +204,7 @@ def test_links_change_from_and_to_recorded_ones(first: str, then: str) -> None:
 
 @pytest.mark.parametrize("number", range(5))
 def test_message_restarts_transmission_in_another_size(number: int) -> None:
-    """An opportunity for 1,500 bytes every 0.1 s: one has passed after 0.1 s, 4,500 bytes need three more."""
+    """With 1,500 bytes every 0.1 s, one opportunity has passed after 0.1 s, and 4,500 bytes need three more."""
     settings = LinkSettings(trace="trace", message_bytes=3000)
     link = OneLink(settings, dt=DT, key=a_key(number), traces=(a_trace("100\n"),))
     link.send(0, "message", 0)
@@ -215,11 +217,11 @@ def test_message_restarts_transmission_in_another_size(number: int) -> None:
 
 
 def test_ended_blackout_drops_no_later_message() -> None:
-    dark = LinkSettings(trace="trace", blackouts=((0.0, 10.0),))
-    link = OneLink(dark, dt=DT, key=a_key(1), traces=(a_trace("20\n"),))
+    blacked_out = LinkSettings(trace="trace", blackouts=((0.0, 10.0),))
+    link = OneLink(blacked_out, dt=DT, key=a_key(1), traces=(a_trace("20\n"),))
     link.send(0, "message", 0)
     assert link.arrivals(0) == []
-    link.change(msgspec.structs.replace(dark, blackouts=()))
+    link.change(msgspec.structs.replace(blacked_out, blackouts=()))
     assert link.arrivals(1) == ["message"]
 
 
@@ -239,7 +241,7 @@ def test_operator_may_set_only_recorded_links_already_read(tmp_path: Path) -> No
 
 @pytest.mark.parametrize(("message_bytes", "queue"), [(1500, 2), (1500, 40), (4000, 1)])
 def test_message_delay_fits_the_capacity_of_batches(message_bytes: int, queue: int) -> None:
-    """Delivery opportunities come in a burst, then one in 0.6 s: what waits in the queue waits for long."""
+    """Opportunities come in a burst and then after 0.6 s: messages wait long in the queue."""
     gaps = [10] * 50 + [600] * 8
     trace = a_trace("\n".join(map(str, np.cumsum(gaps).tolist())))
     settings = LinkSettings(trace="trace", message_bytes=message_bytes, queue=queue, keep="oldest")
@@ -251,7 +253,7 @@ def test_message_delay_fits_the_capacity_of_batches(message_bytes: int, queue: i
 
 
 def a_flight_over(tmp_path: Path, times: list[int], *changes: str) -> Any:
-    """A certified flight whose detections leave at these opportunities [ms]."""
+    """Return a certified scenario whose detections leave at these opportunities [ms]."""
     (tmp_path / "granted.mahi").write_text("".join(f"{time}\n" for time in times))
     overrides = [f"links.detections.trace={tmp_path}/granted.mahi", "detections.dropout=0.0"]
     return load_scenario("escort", overrides=[*overrides, "duration=40.0", *changes])
@@ -262,7 +264,7 @@ GRANTED = {
         [45, 96, 1096],
         ["links.detections.message_bytes=4000", "links.detections.queue=10"],
     ),
-    "more seldom than it looks": (
+    "more seldom than it appears": (
         [51, 71, 72],
         ["detections.rate=1.0", "certificate.max_measurement_age=0.5"],
     ),
@@ -290,7 +292,7 @@ def test_recorded_link_declared_fast_enough_is(how: str, tmp_path: Path) -> None
 def test_a_long_recording_is_inspected_alike_everywhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ten minutes, with nothing from 400 s to 408 s."""
+    """Ten minutes, without a message from 400 s to 408 s."""
     times = [time for time in range(10, 600_001, 10) if not 400_000 < time < 408_000]
     scenario = a_flight_over(tmp_path, times, "certificate.max_measurement_age=2.0")
     (warning,) = assumption_warnings(scenario)
@@ -307,7 +309,7 @@ def test_a_long_recording_is_inspected_alike_everywhere(
     monkeypatch.setattr(link_assumptions, "_MOST_REPLAYED", 1000)
     (warning,) = assumption_warnings(
         msgspec.structs.replace(scenario, duration=50.0)
-    )  # no cached one
+    )  # without a cached result
     assert "no detection arrives for 8 s from 400 s on" in warning
 
 
@@ -321,7 +323,7 @@ def test_thirty_year_table_is_inspected_in_part(tmp_path: Path) -> None:
     assert "only its first 50000 s was inspected" in warning
 
 
-# --- the same bits everywhere
+# --- reproducibility
 
 
 def recorded_scenario(ticks: int = 300) -> Any:
@@ -355,7 +357,7 @@ def test_world_batch_and_environment_play_the_same() -> None:
         status = batch.links.status(k)
         assert status == {name: world.links.status()[name] for name in status}
     ages = {batch.links.status(k)["uav_0/detections"].mean_age for k in range(3)}
-    assert len(ages) == 3  # each seed begins at another place
+    assert len(ages) == 3  # each seed starts at another offset
 
 
 def test_the_secret_shifts_a_recording_too() -> None:
@@ -386,7 +388,7 @@ def test_recorded_link_flies_alike_and_replays_without_its_file(tmp_path: Path) 
     assert json.loads(again.stdout)["trajectory_sha256"] == here.trajectory_sha256
 
 
-# --- bad files
+# --- invalid files
 
 BAD = {
     "empty": (b"", "empty"),
@@ -411,12 +413,12 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_a_bad_file_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
-    content, told = BAD[name]
+    content, phrase = BAD[name]
     (tmp_path / "trace").write_bytes(content)
     (tmp_path / "mine.toml").write_text('[links.radio]\ntrace = "trace"\n' + SMALL)
     line = refusal(tmp_path / "mine.toml")
     assert "mine.toml: links.radio" in line
-    assert told in line.replace('"', "")
+    assert phrase in line.replace('"', "")
     assert "allowed:" in line
 
 
@@ -433,7 +435,7 @@ def test_too_many_lines_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("trace", "told"),
+    ("trace", "phrase"),
     [
         ("none.csv", "cannot be read: No such file"),
         (".", "cannot be read: Is a directory"),
@@ -443,17 +445,17 @@ def test_too_many_lines_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: P
         ("a\\u0000b", "cannot be read"),
     ],
 )
-def test_a_scenario_names_recordings_beside_it_or_below(trace, told, tmp_path) -> None:
+def test_a_scenario_names_recordings_beside_it_or_below(trace, phrase, tmp_path) -> None:
     (tmp_path / "outside.csv").write_text(TABLE)
     folder = tmp_path / "mine"
     folder.mkdir()
     (folder / "leads-out.csv").symlink_to(tmp_path / "outside.csv")
     (folder / "mine.toml").write_text(f'[links.radio]\ntrace = "{trace}"\n' + SMALL)
-    assert told in refusal(folder / "mine.toml")
+    assert phrase in refusal(folder / "mine.toml")
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "phrase"),
     [
         (("links.radio.loss=0.1",), "links.radio.loss = 0.1: cannot be combined with a table"),
         (("links.radio.profile=wifi",), "links.radio.jitter = 0.003: cannot be combined with"),
@@ -461,12 +463,12 @@ def test_a_scenario_names_recordings_beside_it_or_below(trace, told, tmp_path) -
         (("links.radio.duplicates=0.5",), "allowed: 0; delay and blackouts can"),
     ],
 )
-def test_what_cannot_stand_beside_a_recording_is_refused(changes, told, tmp_path) -> None:
+def test_settings_incompatible_with_a_recording_are_refused(changes, phrase, tmp_path) -> None:
     (tmp_path / "t.csv").write_text(TABLE)
-    assert told in refusal(overrides=[f"links.radio.trace={tmp_path}/t.csv", *changes])
+    assert phrase in refusal(overrides=[f"links.radio.trace={tmp_path}/t.csv", *changes])
     (tmp_path / "t.csv").write_text(MAHIMAHI)
-    if "bandwidth" in told:
-        assert told in refusal(overrides=[f"links.radio.trace={tmp_path}/t.csv", *changes])
+    if "bandwidth" in phrase:
+        assert phrase in refusal(overrides=[f"links.radio.trace={tmp_path}/t.csv", *changes])
     else:
         load_scenario(overrides=[f"links.radio.trace={tmp_path}/t.csv", *changes])
 
@@ -479,19 +481,19 @@ def test_content_that_is_not_the_files_is_refused() -> None:
             check_link(LinkSettings(trace="table"), "radio", (one,))
 
 
-# --- what may be promised, and what comes nearest
+# --- warnings, and the nearest profile
 
 
 def test_warning_counts_violations_of_a_recorded_link(tmp_path: Path) -> None:
     rows = [f"{k * DT:.2f},{'lost' if 20 <= k < 50 else 0.05}" for k in range(200)]
     (tmp_path / "t.csv").write_text("sent,delay\n" + "\n".join(rows))
     for kind, share in (("detections", "5.5 %"), ("commands", "15 %")):
-        told = assumption_warnings(
+        warnings = assumption_warnings(
             load_scenario(
                 "escort",
                 overrides=[f"links.{kind}.trace={tmp_path}/t.csv", "detections.dropout=0.0"],
             )
         )
-        assert len(told) == 1
-        assert f"links.{kind}.trace" in told[0]
-        assert f"in {share} of the ticks of one pass" in told[0]
+        assert len(warnings) == 1
+        assert f"links.{kind}.trace" in warnings[0]
+        assert f"in {share} of the ticks of one pass" in warnings[0]

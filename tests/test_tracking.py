@@ -1,6 +1,6 @@
 """Tracking, (13) to (16).
 
-The controller's exact discretization, its closed loop, and that it never stops integrating.
+The controller's exact discretization, its closed loop, and continuous integration.
 """
 
 import math
@@ -105,7 +105,7 @@ def test_controller_without_a_pole_is_a_plain_integral() -> None:
 
 
 def _loop() -> FloatGrid:
-    """The closed loop of (15) and (16) on one axis, state (p, v, x_c), read off the shipped functions and defaults."""
+    """Return the closed loop of (15) and (16) on one axis, state (p, v, x_c), from the shipped functions."""
     law = law_parameters(Law())
     rows = [
         tracking_output(x, 0.0, p, 0.0, law.c_c, law.d_c)[0] for p, x in ((1.0, 0.0), (0.0, 1.0))
@@ -118,7 +118,7 @@ def test_the_papers_gains_put_all_three_poles_at_minus_one() -> None:
 
 
 def _sampled_loop(dt: float) -> FloatGrid:
-    """The loop as it is flown: one step of the controller and of the motion, column by column."""
+    """Return the loop as flown, one step of controller and motion, column by column."""
     columns = []
     for p, v, x in np.eye(3).tolist():
         u, _ = tracking_output(x, 0.0, p, 0.0, C_C, D_C)
@@ -145,7 +145,7 @@ def test_tracking_alone_reaches_a_ugv_of_constant_velocity() -> None:
 
 
 def _state_after(law: str, positions: FloatGrid, coverage: FloatGrid) -> FloatGrid:
-    """The law's x_c after it has seen these relative positions, one a tick."""
+    """Return x_c after these relative positions, one per tick."""
     c = flown_law(escort(law))
     for tick, (x, y) in enumerate(positions.tolist()):
         c.command(coverage, tick, Motion(HERE[0] + x, HERE[1] + y, 0.1, 0.0), target_at(*HERE))
@@ -159,7 +159,7 @@ def test_tracking_keeps_integrating_while_its_weight_is_zero(law: str) -> None:
     angle = np.linspace(0.0, 7.0, 120)
     positions = np.stack(((1.0 + 0.2 * angle) * np.cos(angle), 2.0 * np.sin(2.0 * angle)), axis=1)
     assert np.hypot(*positions.T).max() < R_S
-    # from the end of a sample's tick to the end of the last one
+    # from the end of the first detection's tick to the end of the last one
     age = DT * np.arange(len(positions) - 1, -1, -1)
     share = np.exp(A_C * age) * (np.exp(A_C * DT) - 1.0) / A_C * B_C
     found = _state_after(law, positions, empty_coverage(40.0, 40.0, 0.25))
@@ -167,8 +167,8 @@ def test_tracking_keeps_integrating_while_its_weight_is_zero(law: str) -> None:
 
 
 def _farthest(stale: bool) -> float:
-    """The UAV has been tracking at (3.7, 0) for long, then is drawn over the UGV, which drives off, to the far side of
-    it.
+    """Track long at (3.7, 0), then move the UAV over the UGV, which drives off to the far side; return the largest
+    distance.
     """
     c = flown_law(escort("switching"))
     coverage = empty_coverage(40.0, 40.0, 0.25)

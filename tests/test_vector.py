@@ -1,6 +1,6 @@
 """The vector environments.
 
-The parallel environment many times over, to the bit, with Gymnasium's ways to begin anew.
+Many copies of the parallel environment, to the bit, with Gymnasium's autoreset modes.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ from properties import PROPERTY
 from refusals import refused
 from sim.env.observation import one_of_world
 from sim.scenario.types import Scenario
-from worlds import CASES, LATE_LOOKS, SCENARIO, SCENARIOS, SEVERAL, equal, random_actions
+from worlds import CASES, LATE_DETECTIONS, SCENARIO, SCENARIOS, SEVERAL, equal, random_actions
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -41,7 +41,7 @@ def test_each_world_is_the_parallel_environment_also_over_ends(name: str) -> Non
             commands = {one: policy(last[k][one]) for one, policy in policies[k].items()} | {
                 agent: actions[k]
             }
-            last[k], paid, terms, truncs, told = env.step(commands)
+            last[k], paid, terms, truncs, single_infos = env.step(commands)
             assert (paid[agent], terms[agent], truncs[agent]) == (
                 rewards[k],
                 terminated[k],
@@ -52,7 +52,7 @@ def test_each_world_is_the_parallel_environment_also_over_ends(name: str) -> Non
                 assert infos["_final_obs"][k]
                 assert equal(last[k][agent], infos["final_obs"][k])
                 assert infos["final_info"]["episode"]["l"][k] == env.world.tick
-                for key, value in told[agent].items():
+                for key, value in single_infos[agent].items():
                     if key != "links":
                         assert infos["final_info"][key][k] == value
                 last[k] = env.reset()[0]
@@ -60,7 +60,7 @@ def test_each_world_is_the_parallel_environment_also_over_ends(name: str) -> Non
     assert ends >= 3 or agent == "ugv_0"
 
 
-def test_everybody_may_learn() -> None:
+def test_every_vehicle_may_learn() -> None:
     singles = [outrider.parallel_env(SEVERAL) for _ in range(2)]
     many = outrider.parallel_vector_env(SEVERAL, num_envs=2)
     assert many.possible_agents == singles[0].possible_agents
@@ -89,15 +89,15 @@ def test_everybody_may_learn() -> None:
                 assert all(equal(last[k][name], seen[name][k]) for name in many.possible_agents)
 
 
-@pytest.mark.parametrize("scenario", [SCENARIO, LATE_LOOKS], ids=["in time", "late"])
+@pytest.mark.parametrize("scenario", [SCENARIO, LATE_DETECTIONS], ids=["in time", "late"])
 def test_the_filters_are_those_of_the_pilots(scenario: Scenario) -> None:
-    """The estimator and the safety filter of `agents`, beside the world that tells them what they see."""
+    """Compare with the estimator and the safety filter of `agents` beside the same world."""
     single = outrider.parallel_env(scenario, estimate=True, safety_filter=True)
     many = outrider.vector_env(
         scenario, num_envs=1, agent="uav_0", estimate=True, safety_filter=True
     )
-    driver, told = pilots(single)["ugv_0"], single.briefing("uav_0")
-    estimator, keeper = estimator_of(told), SafetyFilter(told)
+    driver, briefed = pilots(single)["ugv_0"], single.briefing("uav_0")
+    estimator, keeper = estimator_of(briefed), SafetyFilter(briefed)
     seen, _ = many.reset(seed=4)
     last, _ = single.reset(seed=4)
     acted = 0
@@ -115,8 +115,8 @@ def test_the_filters_are_those_of_the_pilots(scenario: Scenario) -> None:
         )
         keeper.see(received)
         decision = keeper.filter(received, tuple(outward))
-        looks = looks_of(received.detections, told.dt)
-        estimate = estimator.update(tick=tick, own_position=tuple(place), detections=looks)
+        detections = looks_of(received.detections, briefed.dt)
+        estimate = estimator.update(tick=tick, own_position=tuple(place), detections=detections)
         if estimate is not None:
             relative = np.subtract(place, estimate.position)
             row = [1.0, *relative, estimate.age]
@@ -175,7 +175,7 @@ def test_it_is_a_gymnasium_vector_environment() -> None:
     recorded.close()
 
 
-def test_a_part_of_the_worlds_can_begin_anew() -> None:
+def test_a_part_of_the_worlds_can_be_reset() -> None:
     env = outrider.vector_env(SCENARIO, num_envs=3, agent="uav_0")
     first, _ = env.reset(seed=7)
     for actions in random_actions(3, 10):
@@ -217,16 +217,18 @@ EXTREMES = st.sampled_from([0.0, 1e-300, -1e-9, 0.3, -0.3, 1e6, -1e6])
             "coverage_patch": st.sampled_from([None, (3, 2.0)]),
         }
     ),
-    held=st.lists(st.tuples(EXTREMES, EXTREMES), min_size=1, max_size=8),
+    action_list=st.lists(st.tuples(EXTREMES, EXTREMES), min_size=1, max_size=8),
 )
-def test_the_spaces_contain_whatever_is_returned(name, agent, options, held):
+def test_the_spaces_contain_whatever_is_returned(name, agent, options, action_list):
     env = outrider.vector_env(
         SCENARIOS[name], num_envs=2, agent=agent, duration=4.0, threads=1, **options
     )
-    seen, _ = env.reset(seed=len(held))
+    seen, _ = env.reset(seed=len(action_list))
     assert env.observation_space.contains(seen)
     for tick in range(100):
-        seen, rewards, *_, infos = env.step(np.array([held[tick // 10 % len(held)]] * 2))
+        seen, rewards, *_, infos = env.step(
+            np.array([action_list[tick // 10 % len(action_list)]] * 2)
+        )
         assert env.observation_space.contains(seen)
         assert np.isfinite(rewards).all()
         for k in np.flatnonzero(infos.get("_final_obs", [])):
@@ -241,7 +243,7 @@ def test_all_worlds_must_be_reset_before_a_part_of_them() -> None:
 
 @pytest.mark.parametrize("kind", ["vector", "parallel"])
 def test_next_step_mode_restarts_in_the_next_step(kind: str) -> None:
-    """The same episodes as in the mode SAME_STEP, with a step more at each end, whose action is ignored."""
+    """The same episodes as in the mode SAME_STEP, with one more step at each end, whose action is ignored."""
     make = outrider.vector_env if kind == "vector" else outrider.parallel_vector_env
     agents = {} if kind == "vector" else {"agents": ["uav_0"]}
     same, late = (
@@ -271,16 +273,16 @@ def test_next_step_mode_restarts_in_the_next_step(kind: str) -> None:
             episodes["late"][k].append(seen[k].tobytes())
             assert over[k] == (ticks[k] == 40.0 or ended[0][k])
     assert ends >= 6
-    held = np.zeros((3, 2))
+    applied = np.zeros((3, 2))
     turn, last = [0, 0, 0], [False] * 3
     actions_of = random_actions(3, 100) * np.array([[9.0], [1.0], [0.1]])
     for _ in range(90):
         for k in range(3):
-            if last[k]:  # the step that has begun the episode
+            if last[k]:  # the step that has started the episode
                 turn[k] += 1
-            held[k] = actions_of[min(turn[k], 99), k]
+            applied[k] = actions_of[min(turn[k], 99), k]
             turn[k] += 1
-        seen, _, terminated, truncated, infos = flown(same, held)
+        seen, _, terminated, truncated, infos = flown(same, applied)
         last = (terminated | truncated).tolist()
         for k in range(3):
             shown = infos["final_obs"][k] if last[k] else seen[k]
@@ -310,7 +312,7 @@ def test_a_mode_of_another_name_is_refused() -> None:
 
 
 def test_final_info_of_an_episode_is_available() -> None:
-    """A filter that lies by half a metre, and a UGV that flees: each end is certified out of sight."""
+    """Use a safety filter with radii half a metre too large, and a fleeing UGV: each end is certified out of sight."""
     env = outrider.parallel_vector_env(
         "escort", num_envs=4, duration=60.0, safety_filter=True, autoreset_mode="NextStep"
     )
@@ -327,10 +329,10 @@ def test_final_info_of_an_episode_is_available() -> None:
         _, _, terminated, _, _ = env.step({"uav_0": 10.0 * apart, "ugv_0": -10.0 * apart})
         lengths = np.where(over, 0.0, lengths + 1)
         over = terminated["uav_0"]
-        told = env.metrics()["uav_0"]
-        assert (told["ticks"] == lengths).all()
-        assert (told["max_distance"][over] >= 4.75).all()
-        assert (told["certified_while_lost"][over] == 1.0).all()
+        metrics = env.metrics()["uav_0"]
+        assert (metrics["ticks"] == lengths).all()
+        assert (metrics["max_distance"][over] >= 4.75).all()
+        assert (metrics["certified_while_lost"][over] == 1.0).all()
         lost += over.sum()
     assert lost >= 8
 

@@ -1,4 +1,4 @@
-"""The vehicles (1): exact between their bounds, never beyond them, and what their drivers reckon with."""
+"""The vehicles (1): exact between their bounds, never beyond them, and the braking distances of their drivers."""
 
 import math
 from itertools import pairwise
@@ -20,7 +20,7 @@ from sim.models.vehicles import (
     stopping_distance,
 )
 
-ONE = 1.0 + 4.0 * np.finfo(float).eps  # what rounding may add to a norm
+ONE = 1.0 + 4.0 * np.finfo(float).eps  # possible rounding error of a norm
 
 numbers = st.floats(-100.0, 100.0)
 bounds = st.floats(1e-3, 100.0) | st.just(math.inf)
@@ -69,7 +69,7 @@ def test_acceleration_to_the_bound_matches_the_closed_form(v_max, u_max, dt):
         t, full = k * dt, v_max / u_max
         wanted = 0.5 * u_max * t * t if t <= full else 0.5 * v_max * full + v_max * (t - full)
         assert state[2] == pytest.approx(min(u_max * t, v_max), rel=1e-12)
-        # the tick in which the bound is met
+        # the tick in which the bound is reached
         assert abs(state[0] - wanted) <= u_max * dt * dt / 8.0 + 1e-9
         assert state[1] == state[3] == 0.0
 

@@ -1,4 +1,4 @@
-"""The visibility constraint (5), the switching radius (18), and what is left of the promise when time is sampled."""
+"""The visibility constraint (5), the switching radius (18), and their validity in discrete time."""
 
 import math
 
@@ -13,7 +13,7 @@ from agents.uav_parameters import uav_parameters
 from bus.errors import ScenarioError
 from bus.messages.scenario import Region
 from bus.registry import LAWS
-from flights import DT, HERE, R_S, R_V, U_A, V_A, V_G, distances, escort, told
+from flights import DT, HERE, R_S, R_V, U_A, V_A, V_G, briefing_of, distances, escort
 from outrider.running.flying import fly
 from properties import PROPERTY
 from sim.models.vehicles import raw_switching_radius
@@ -43,7 +43,7 @@ def test_the_switching_radius_is_the_papers_two_phases(r_v, v_a, v_g, u_a):
 
 def test_the_papers_numbers_give_its_radius() -> None:
     assert switching_radius(R_V, V_A, V_G, U_A) == pytest.approx(3.6833, abs=5e-5)
-    assert uav_parameters(told(escort("logarithmic"))).switching_radius == switching_radius(
+    assert uav_parameters(briefing_of(escort("logarithmic"))).switching_radius == switching_radius(
         R_V, V_A, V_G, U_A
     )
 
@@ -85,17 +85,17 @@ def test_only_laws_that_use_the_switching_radius_ask_for_it(law: str) -> None:
     weak = escort(law, uav=Uav(position=HERE, max_acceleration=0.05))
     refused = bool(list(switching_radius_is_positive(weak)))
     assert refused is (law not in {"tracking", "coverage", "policy"})
-    uav = uav_parameters(told(weak))
+    uav = uav_parameters(briefing_of(weak))
     assert uav.switching_radius < 0.0
     if refused:
         with pytest.raises(ScenarioError, match="too weak"):
-            SelectedLaw(told(weak), weak.law, uav)
+            SelectedLaw(briefing_of(weak), weak.law, uav)
     else:
-        SelectedLaw(told(weak), weak.law, uav)
+        SelectedLaw(briefing_of(weak), weak.law, uav)
 
 
 def _worst_case(law: str, **fields: float) -> Scenario:
-    """All that is uncovered lies on one side, and the UGV drives off to the other."""
+    """Fly with all uncovered ground on one side while the UGV drives off to the other."""
     covered = Coverage(covered=(Region(lower=(0.0, 0.0), upper=(40.0, 24.0)),))
     return escort(
         law,
@@ -106,7 +106,7 @@ def _worst_case(law: str, **fields: float) -> Scenario:
 
 
 def test_proposition_2_has_no_margin_for_a_sample_time() -> None:
-    """Documented behaviour (SPEC, 2): the sampled switching law loses a UGV that drives straight away."""
+    """Documented behaviour: the sampled switching law loses a UGV that drives straight away."""
     flight, summary = fly(_worst_case("switching"), 0)
     assert R_V < summary.max_distance <= R_V + (V_A + V_G) * DT
     assert summary.visibility_violations > 0

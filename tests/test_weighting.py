@@ -1,6 +1,6 @@
-"""Weighing tracking against coverage.
+"""The weighting of tracking against coverage.
 
-(17), the three weightings with (19), Proposition 2's conditions, and one's own.
+The combination (17), the three weightings with (19), the conditions of Proposition 2, and user weightings.
 """
 
 import math
@@ -141,7 +141,7 @@ def test_a_weighting_within_proposition_2_is_accepted(weighting: Weighting) -> N
 
 
 def _from(distance: float, bad: object) -> Weighting:
-    """A linear weighting that goes wrong from this distance on."""
+    """Return a linear weighting that is wrong from this distance on."""
     return lambda d, r_s: bad if d >= distance else _linear(d, r_s)
 
 

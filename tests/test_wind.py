@@ -1,4 +1,4 @@
-"""Wind, tracking and a wrong own position: the truth is off what the UAV is told, by no more than w."""
+"""Wind, tracking and position errors: the true state differs from the reference state by at most w."""
 
 import csv
 import math
@@ -11,7 +11,7 @@ from agents.safety.handover import check_assumptions
 from bus.errors import ScenarioError
 from bus.messages.ground import Hazard, TileReport
 from bus.messages.vehicle import UavObservation
-from flights import PROMISED, certified, flown_in_both, told
+from flights import DECLARED_BOUNDS, briefing_of, certified, flown_in_both
 from outrider.running.assumptions import shortfalls
 from outrider.running.flying import fly
 from sim.compiling.records import record_type, records
@@ -31,7 +31,7 @@ from worlds import LOSSY, SCENARIOS, small, step
 WINDY = SCENARIOS["wind"]
 DT = 0.05
 LOOPS = [(1.0, 2.0), (1.0, 0.4), (4.0, 3.0), (0.2, 1.5)]
-"""Without oscillation, with much, with some, and slow: k_p [1/s²], k_d [1/s]."""
+"""Gains without oscillation, with much, with some, and slow: k_p [1/s²], k_d [1/s]."""
 
 
 def loop_of(k_p: float, k_d: float, reserve: float) -> InnerLoop:
@@ -39,7 +39,7 @@ def loop_of(k_p: float, k_d: float, reserve: float) -> InnerLoop:
 
 
 def errors(loop: InnerLoop, wind: np.ndarray, own: np.ndarray, dt: float) -> np.ndarray:
-    """Return the tracking error under these winds and position errors, by tick: x, y [m] and the feedback [m/s²]."""
+    """Return the tracking error under winds and position errors at each tick: x, y [m] and the feedback [m/s²]."""
     (row,), found = np.zeros(1, record_type(Disturbance)), []
     (gains,) = records(InnerLoop, [loop])
     for row["wind"], row["position_error"] in zip(wind, own, strict=True):
@@ -62,7 +62,7 @@ def test_the_worst_wind_comes_to_the_bound_and_no_other_beyond(gains, wind, own,
     kick = silent.copy()
     kick[0, 0] = 1.0
     answer = errors(loop, kick, silent, dt)[:, 0]
-    push = np.where(answer[::-1] >= 0.0, 1.0, -1.0)  # the last is answered first
+    push = np.where(answer[::-1] >= 0.0, 1.0, -1.0)  # the last one is answered first
     way = np.array([0.6, 0.8])
     worst = errors(loop, wind * push[:, None] * way, -own * push[:, None] * way, dt)
     reached = math.hypot(*worst[-1, :2])
@@ -99,19 +99,19 @@ def test_an_unstable_loop_has_no_bound(gains) -> None:
 # -- the certificate
 
 
-def test_w_is_taken_off_the_radius_and_added_to_the_error() -> None:
-    numbers = PROMISED | {"age": 5.0}
+def test_tracking_error_reduces_the_radius_and_adds_to_the_error() -> None:
+    numbers = DECLARED_BOUNDS | {"age": 5.0}
     with_w = certified(**numbers, eps=0.3, tracking=0.4)
     without = certified(**numbers | {"r_v": 4.35}, eps=0.7)
     assert with_w.handover_radius == pytest.approx(without.handover_radius, abs=1e-9)
     assert with_w.handover_bound == pytest.approx(without.handover_bound, abs=1e-9)
-    for tracking, told_of in (
+    for tracking, phrase in (
         (math.inf, "max_tracking_error = inf m"),
         (2.5, "max_tracking_error = 2.5 m"),
     ):
         wrong = certified(**numbers, eps=0.3, tracking=tracking)
         (fault,) = check_assumptions(wrong)
-        assert told_of in fault
+        assert phrase in fault
 
 
 # -- the world
@@ -131,7 +131,7 @@ def test_without_wind_the_true_state_is_the_reference_state() -> None:
 def test_wind_disturbs_the_uavs_true_state_alone(tmp_path) -> None:
     flight, summary = fly(WINDY, 1)
     off = flight.recorder.states[:, :, :4] - flight.recorder.reference
-    declared = told(WINDY).safety.max_tracking_error
+    declared = briefing_of(WINDY).safety.max_tracking_error
     assert 0.05 < np.hypot(off[:, 0, 0], off[:, 0, 1]).max() == summary.largest_tracking_error
     assert summary.largest_tracking_error <= summary.max_tracking_error == declared
     assert not off[:, 1].any()
@@ -150,7 +150,7 @@ def test_wind_disturbs_the_uavs_true_state_alone(tmp_path) -> None:
 
 
 def test_wind_changes_no_other_draw_or_own_state() -> None:
-    """Under the same commands the told states, and the tiles that are told when, are those of still air."""
+    """Under the same commands, reference states and reported tiles are those of still air."""
     windy = msgspec.structs.replace(
         WINDY, hazard=(Hazard(kind="block", center=WINDY.ugv[0].position, radius=0.5),)
     )
@@ -172,10 +172,10 @@ def test_wind_changes_no_other_draw_or_own_state() -> None:
     assert not np.array_equal(one.position, other.position)
 
 
-def test_no_vehicle_is_told_of_the_wind() -> None:
+def test_no_vehicle_receives_the_wind() -> None:
     declared = Certificate(max_tracking_error=0.5)
     stormy = small("certified", wind=Wind(mean=(0.1, 0.0), gust=0.05), certificate=declared)
-    assert told(stormy) == told(small("certified", certificate=declared))
+    assert briefing_of(stormy) == briefing_of(small("certified", certificate=declared))
 
 
 def test_wind_keeps_its_limit_mean_and_spread() -> None:
@@ -195,7 +195,7 @@ def test_wind_keeps_its_limit_mean_and_spread() -> None:
 
 
 def test_wind_flies_alike_in_environment_and_run() -> None:
-    """Without a listener: what the environment radios comes from the batch filter, which rounds otherwise."""
+    """Without radio, whose values come from the batch filter in the environment and are rounded differently."""
     (ugv,) = WINDY.ugv
     deaf = msgspec.structs.replace(ugv, driver="script")
     flown_in_both(msgspec.structs.replace(WINDY, ugv=(deaf,)), 3)
@@ -212,20 +212,20 @@ def test_wind_and_lost_commands_leave_every_tick_certified() -> None:
     assert summary.certified_while_lost == summary.certificate_broken == 0
 
 
-def test_a_process_that_joins_again_is_told_what_it_was_told() -> None:
+def test_rejoining_process_receives_its_past_unchanged() -> None:
     seen = []
 
-    def look(flight) -> None:
+    def record_observation(flight) -> None:
         seen.append(flight.observations()["uav_0"])
 
-    flight, _ = fly(msgspec.structs.replace(WINDY, duration=3.0), 1, on_tick=look)
+    flight, _ = fly(msgspec.structs.replace(WINDY, duration=3.0), 1, on_tick=record_observation)
     past = flight.past("uav_0", 1, 60, ())
     assert [(one.position, one.velocity) for one in past] == [
         (one.position, one.velocity) for one in seen[:59] if isinstance(one, UavObservation)
     ]
 
 
-# -- what is told
+# -- warnings
 
 
 def test_wind_beyond_w_warns_and_excuses_the_certificate() -> None:

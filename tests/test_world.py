@@ -1,6 +1,4 @@
-"""The world: one seed one trajectory, time that is not summed, walls, detections as the scenario says, any number of
-vehicles.
-"""
+"""The world: one trajectory per seed, time without summation, walls, detections, and any number of vehicles."""
 
 import math
 
@@ -16,13 +14,13 @@ from sim.scenario.types import Coverage, Detections, Scenario, Uav, Ugv
 from sim.server.flight import Flight
 from sim.world import World
 
-ON_THE_WAY = Ugv(position=HERE, goals=((25.0, 20.0), (25.0, 26.0)))
+MOVING = Ugv(position=HERE, goals=((25.0, 20.0), (25.0, 26.0)))
 
 
 def _noisy(seed_of_file: int = 0, **fields: float) -> Scenario:
     noise = Detections(noise=0.1, dropout=0.1)
     fields = {"seed": seed_of_file, "duration": 20.0, **fields}
-    return escort("logarithmic", ugv=ON_THE_WAY, detections=noise, **fields)
+    return escort("logarithmic", ugv=MOVING, detections=noise, **fields)
 
 
 def test_seeds_determine_the_bits_of_a_flight() -> None:
@@ -48,7 +46,7 @@ def test_time_is_the_tick_times_the_length_of_a_tick(dt: float) -> None:
         differs = differs or summed != tick * dt
         flight.apply({})
         summed += dt
-    assert differs  # a sum would have been seen
+    assert differs  # a sum would differ
 
 
 def test_vehicle_stops_at_a_wall_and_can_leave() -> None:
@@ -88,7 +86,7 @@ def test_commands_are_bounded_by_the_world() -> None:
 @pytest.mark.parametrize(("rate", "period"), [(20.0, 1), (4.0, 5), (1.0, 20)])
 def test_detections_come_at_their_period_and_at_no_other_tick(rate: float, period: int) -> None:
     scenario = escort(
-        "tracking", ugv=ON_THE_WAY, detections=Detections(rate=rate, noise=0.05), duration=20.0
+        "tracking", ugv=MOVING, detections=Detections(rate=rate, noise=0.05), duration=20.0
     )
     detected = ~np.isnan(fly(scenario, 0)[0].recorder.escorts[:, 0, 2])
     assert np.flatnonzero(detected).tolist() == list(range(0, len(detected), period))
@@ -97,7 +95,7 @@ def test_detections_come_at_their_period_and_at_no_other_tick(rate: float, perio
 def test_noise_and_dropouts_in_flight_are_those_of_the_scenario() -> None:
     sigma, cut, dropout = 0.2, 2.0, 0.25
     noise = Detections(noise=sigma, truncation=cut, dropout=dropout)
-    flight, _ = fly(escort("logarithmic", ugv=ON_THE_WAY, detections=noise, duration=200.0), 2)
+    flight, _ = fly(escort("logarithmic", ugv=MOVING, detections=noise, duration=200.0), 2)
     uav, ugv = tracks(flight)
     errors = flight.recorder.escorts[:, 0, 2:4] - (uav[:, :2] - ugv[:, :2])
     found = ~np.isnan(errors[:, 0])
@@ -129,7 +127,7 @@ def test_ugv_is_detected_always_within_r_v_and_never_beyond_r():
 
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_the_map_is_what_was_seen_along_the_track(sensor: str) -> None:
-    scenario = escort("logarithmic", ugv=ON_THE_WAY, sensor=Sensor(model=sensor), duration=5.0)
+    scenario = escort("logarithmic", ugv=MOVING, sensor=Sensor(model=sensor), duration=5.0)
     flight, _ = fly(scenario, 0)
     wanted = np.zeros((160, 160))
     for x, y in tracks(flight)[0][1:, :2].tolist():
@@ -151,7 +149,7 @@ def test_initially_covered_ground_is_known_to_world_and_uav() -> None:
     region = Region(lower=(0.0, 0.0), upper=(40.0, 40.0))
     _, summary = fly(escort("coverage", coverage=Coverage(covered=(region,)), duration=5.0), 0)
     assert summary.initial_error == 0.0
-    assert summary.max_distance == 0.0  # nothing to see, nowhere to go
+    assert summary.max_distance == 0.0  # nothing to cover, nowhere to drive
 
 
 def _two_pairs() -> Scenario:

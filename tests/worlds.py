@@ -1,4 +1,4 @@
-"""Scenarios and helpers for the tests of many worlds at once."""
+"""Scenarios and helpers for the tests of many worlds."""
 
 import math
 from typing import Any
@@ -29,7 +29,7 @@ LOSSY = msgspec.structs.replace(
     blackout_interval=5.0,
     blackout_length=1.0,
 )
-"""Commands come late, twice, out of order, or not at all."""
+"""Commands arrive late, twice, out of order, or never."""
 
 SMALL = Area(width=16.0, height=12.0, cell=0.5)
 
@@ -72,7 +72,7 @@ ONE = Scenario(
     uav=(Uav(position=(12.0, 10.0)),),
     ugv=(Ugv(position=(10.0, 10.0), goals=((14.0, 10.0), (14.0, 16.0))),),
 )
-"""One of each, for the tests of what an environment returns."""
+"""One UAV and one UGV, for the tests of returned values."""
 
 FREE = Scenario(
     name="free",
@@ -82,7 +82,7 @@ FREE = Scenario(
     uav=(Uav(position=(12.0, 10.0), max_speed=math.inf, max_acceleration=math.inf),),
     ugv=(Ugv(position=(10.0, 10.0), max_acceleration=10.0),),
 )
-"""The same without the UAV's bounds."""
+"""The same without limits of the UAV."""
 
 SCENARIOS: dict[str, Scenario] = {
     **{
@@ -127,7 +127,7 @@ SCENARIO = SCENARIOS["certified"]
 
 SEEN = RewardWeights(uncovered=0.5, seen=2.0, effort=0.3)
 
-LATE_LOOKS = msgspec.structs.replace(SCENARIO, links=LinkTable(detections=LATE))
+LATE_DETECTIONS = msgspec.structs.replace(SCENARIO, links=LinkTable(detections=LATE))
 
 
 def random_actions(worlds: int, ticks: int, *, size: float = 0.3) -> np.ndarray:
@@ -135,7 +135,7 @@ def random_actions(worlds: int, ticks: int, *, size: float = 0.3) -> np.ndarray:
 
 
 def step(batch: Batch, commands: np.ndarray) -> None:
-    """All worlds of a batch advance by a tick in which these commands set out to cross the links."""
+    """Advance all worlds of a batch by a tick in which these commands are sent over the links."""
     vehicles = batch.state.vehicles
     vehicles["outgoing_tick"] = batch.state.ticks[:, None]
     vehicles["outgoing"] = commands
@@ -144,7 +144,7 @@ def step(batch: Batch, commands: np.ndarray) -> None:
 
 
 def equal(one: Any, other: Any) -> bool:
-    """Bit for bit, types and all, whatever the nesting."""
+    """Return whether two values have the same bits and types, at any nesting."""
     if isinstance(one, dict):
         return one.keys() == other.keys() and all(equal(one[key], other[key]) for key in one)
     if isinstance(one, tuple):
@@ -165,7 +165,7 @@ CASES: dict[str, tuple[Scenario, str, dict[str, Any]]] = {
     "ugv": (raw(SCENARIO), "ugv_0", {"end_on_goals_reached": True}),
     "weights": (SCENARIO, "uav_0", {"rewards": SEEN}),
     "patch": (SCENARIO, "uav_0", {"coverage_patch": (7, 0.6)}),
-    "late": (LATE_LOOKS, "uav_0", {}),
+    "late": (LATE_DETECTIONS, "uav_0", {}),
     "evade": (raw(SCENARIOS["evade"]), "uav_0", {}),
     "lookahead": (raw(SCENARIOS["lookahead"]), "ugv_0", {"duration": 5.0}),
     "evade over a network": (raw(SCENARIOS["network"]), "uav_0", {"duration": 10.0}),

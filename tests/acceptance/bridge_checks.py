@@ -1,4 +1,4 @@
-"""Tools of the tests of the bridges: environments of others' programs, processes, and a table of findings."""
+"""Tools for the tests of the bridges: environments of third-party programs, processes, and a table of findings."""
 
 import argparse
 import json
@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
-"""The programs of the other side."""
+"""The root of the repository."""
 
 
 class Row(NamedTuple):
-    """A finding."""
+    """A finding of a check."""
 
     what: str
     value: object
@@ -33,7 +33,7 @@ def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
 
 
 def environment(name: str, packages: Sequence[object], python: str = sys.executable) -> Path:
-    """An environment of its own, `.venv-NAME`, made on the first call; its folder of programs."""
+    """Create the environment `.venv-NAME` on the first call; return its folder of programs."""
     folder = ROOT / f".venv-{name}"
     if not (folder / ".bridge").exists():
         subprocess.run([python, "-m", "venv", folder], check=True)
@@ -44,7 +44,7 @@ def environment(name: str, packages: Sequence[object], python: str = sys.executa
 
 
 def outrider(*words: object) -> list[str]:
-    """A command of ours."""
+    """Return the command line of an outrider command."""
     return [sys.executable, "-m", "outrider", *map(str, words)]
 
 
@@ -53,7 +53,7 @@ def called(
     patience: float = 300.0,
     **settings: Any,
 ) -> "subprocess.CompletedProcess[str]":
-    """A program, run to its end, good or bad, for `patience` [s] at most."""
+    """Run a program and return its result, for `patience` [s] at most."""
     return subprocess.run(
         [str(word) for word in words],
         capture_output=True,
@@ -68,7 +68,7 @@ def output(
     *words: object,
     **settings: Any,
 ) -> str:
-    """The standard output of a program.
+    """Return the standard output of a program.
 
     Raises:
         SystemExit: If it fails.
@@ -79,8 +79,8 @@ def output(
     return done.stdout
 
 
-def told(*words: object) -> dict[str, Any]:
-    """JSON of a command of ours that goes well."""
+def json_of(*words: object) -> dict[str, Any]:
+    """Return the JSON output of an outrider command."""
     found: dict[str, Any] = json.loads(output(*outrider(*words)))
     return found
 
@@ -91,12 +91,12 @@ def started(
     words: Sequence[object],
     **settings: Any,
 ) -> Iterator["subprocess.Popen[str]"]:
-    """A process in the background, ended in order in the end, or killed.
+    """Run a process in the background; terminate it at the end, or kill it.
 
     Args:
-        log: Takes its standard error; its standard output goes into the same name with `.out`.
-        words: Its command.
-        settings: Others of the process, such as its folder.
+        log: File for standard error; standard output goes to the same name with `.out`.
+        words: The command.
+        settings: Further arguments of `subprocess.Popen`, such as `cwd`.
     """
     with log.open("w") as file, log.with_suffix(".out").open("w") as out:
         process = subprocess.Popen(
@@ -114,11 +114,11 @@ def started(
 
 
 def report(findings: Callable[[Path], Iterator[Row]], about: str | None) -> int:
-    """Print all findings as rows of a table; the exit code, 1 if one does not hold.
+    """Print all findings as rows of a table; return the exit code, 1 if one does not hold.
 
     Args:
-        findings: Makes them in a temporary folder, which is the working directory too.
-        about: The program's help text; it takes no arguments.
+        findings: Yields the findings in a temporary folder, which is also the working directory.
+        about: The help text of the program, which has no arguments.
     """
     argparse.ArgumentParser(description=about).parse_args()
     good = True
@@ -132,10 +132,10 @@ def report(findings: Callable[[Path], Iterator[Row]], about: str | None) -> int:
 
 
 def await_text(file: Path, text: str, patience: float = 120.0) -> None:
-    """Wait until a log says something.
+    """Wait until a log contains a text.
 
     Raises:
-        SystemExit: If it does not.
+        SystemExit: If the text does not appear in time.
     """
     limit = time.monotonic() + patience
     while text not in file.read_text():

@@ -1,7 +1,7 @@
-"""The bridges against what others wrote: a program a bridge, each with environments of its own.
+"""The bridges with third-party programs: one program per bridge, each with environments of its own.
 
-`make bridge-test`, or `python tests/acceptance/bridges.py NAME ...`; without names all of them, one after the other.
-Each prints its findings as rows of a table; exit code 1 where one does not hold.
+`make bridge-test`, or `python tests/acceptance/bridges.py NAME ...`; without names all bridges, one after the other.
+Each prints its findings as rows of a table; the exit code is 1 if one does not hold.
 """
 
 import argparse
@@ -19,13 +19,13 @@ BRIDGES = {
     "mavlink": "outrider_mavlink/tests/acceptance/mavlink_programs.py",
     "fmi": "outrider_fmi/tests/acceptance/fmi_programs.py",
 }
-"""Programs in `extensions`, in this order."""
+"""Programs in `extensions`, in the order of execution."""
 
 
 def main(wanted: list[str]) -> int:
-    """Run the programs; the number of those that have failed."""
+    """Run the programs; return the number of failures."""
     failed = 0
-    # What a flight compiles is there before the first one: on a new machine others would wait for it in vain.
+    # Compile first: on a new machine the processes of a run would otherwise time out waiting for one another.
     words = ["run", "--in-process", "--duration", "1", "--no-files"]
     subprocess.run([sys.executable, "-m", "outrider", *words], check=True, capture_output=True)
     for name in wanted:

@@ -1,6 +1,6 @@
-"""Flies in containers and disturbs them.
+"""Runs in containers, with disturbances.
 
-Builds the image, flies, kills, pauses, cuts off, and listens where it must not.
+Builds the image; flies, kills, pauses and disconnects containers; tries forbidden access.
 
     make compose-test
 
@@ -32,13 +32,13 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 NO_ENGINE = 77
 RUN = "flight"
-LONG = "1000"  # s of simulated time: some ten seconds of flight, long enough to be disturbed
+LONG = "1000"  # simulated time [s]: some ten seconds of wall time, long enough to disturb the run
 ENDLESS = "100000"
-LARGEST = 1000  # MB that the image may have
-PAGE_LARGEST = 150  # MB that the dashboard's image may have besides
-MAVLINK_LARGEST = 150  # MB that the MAVLink bridge's may have
+LARGEST = 1000  # largest size of the image [MB]
+PAGE_LARGEST = 150  # largest additional size of the dashboard's image [MB]
+MAVLINK_LARGEST = 150  # largest additional size of the MAVLink bridge's image [MB]
 STATION = bytes.fromhex("fd09000000ffbe0000000000000006080004033d48")
-"""The HEARTBEAT of a ground station, MAVLink 2: a bridge tells the run to whoever has sent one."""
+"""The HEARTBEAT of a ground station, MAVLink 2: a bridge sends to each address that has sent one."""
 # for a package mirror
 PIP_SETTINGS = {
     "PIP_INDEX_URL": "index-url",
@@ -47,7 +47,7 @@ PIP_SETTINGS = {
 Json = dict[str, Any]
 UP = ("up", "--exit-code-from", "simulator")
 
-# These run inside the containers, where the project's own packages are.
+# Scripts that run inside the containers, where the project's packages are installed.
 FOLLOW = """
 import os, sys, time
 from pathlib import Path
@@ -86,8 +86,8 @@ LISTEN = (
     + """
 name, password, seconds, spoiled, *keys = sys.argv[1:]
 if password == "own":
-    told = json.load(open(os.environ["OUTRIDER_CREDENTIALS"]))
-    password = next(party for party in told.get("parties", [told]) if party["name"] == name)["password"]
+    credentials = json.load(open(os.environ["OUTRIDER_CREDENTIALS"]))
+    password = next(party for party in credentials.get("parties", [credentials]) if party["name"] == name)["password"]
 known = {"transport/auth/usrpwd/user": name, "transport/auth/usrpwd/password": password} if name else {}
 try:
     session = client(os.environ.get("OUTRIDER_CONNECT", "tcp/127.0.0.1:17447"), known)
@@ -96,7 +96,7 @@ except zenoh.ZError:
     sys.exit()
 received = {}
 def count(sample):
-    key = str(sample.key_expr)  # by what has come, whichever subscription it came to
+    key = str(sample.key_expr)  # by the key of the sample, not of the subscription
     received[key] = received.get(key, 0) + 1
 with session:
     kept = [session.declare_subscriber(key, count) for key in keys]
@@ -149,10 +149,10 @@ own = read_credential(Path(os.environ["OUTRIDER_CREDENTIALS"]))
 address = os.environ["OUTRIDER_CONNECT"].partition("/")[2]
 foreign = issue(new_authority(os.environ["OUTRIDER_RUN"]), own.name)
 trusting = msgspec.structs.replace(foreign, authority=own.tls.authority)
-nobody = client_settings(own)
+anonymous = client_settings(own)
 for part in ("certificate", "private_key"):
-    del nobody[f"transport/link/tls/connect_{part}_base64"]
-nobody["transport/link/tls/enable_mtls"] = False
+    del anonymous[f"transport/link/tls/connect_{part}_base64"]
+anonymous["transport/link/tls/enable_mtls"] = False
 def tried(protocol, known):
     try:
         client(f"{protocol}/{address}", known).close()
@@ -161,7 +161,7 @@ def tried(protocol, known):
     return "open"
 found = {
     "own": tried("tls", client_settings(own)),
-    "no certificate": tried("tls", nobody),
+    "no certificate": tried("tls", anonymous),
     "another authority's": tried("tls", client_settings(msgspec.structs.replace(own, tls=trusting))),
     "no TLS": tried("tcp", {}),
 }
@@ -199,7 +199,7 @@ def call(host, port):
     try:
         socket.create_connection((host, int(port)), 2).close()
     except ConnectionRefusedError:
-        return "refused"  # somebody was there to refuse
+        return "refused"  # a host answered
     except OSError as error:
         return "unreachable"
     return "open"
@@ -215,8 +215,8 @@ class Hover:
     def __init__(self, briefing):
         pass
     def act(self, observation):
-        (look, *_) = observation.detections or [None]
-        x, y = look.relative_position if look else (0.0, 0.0)
+        (detection, *_) = observation.detections or [None]
+        x, y = detection.relative_position if detection else (0.0, 0.0)
         v_x, v_y = observation.velocity
         return UavCommand(tick=observation.tick, acceleration=(-0.2 * x - v_x, -0.2 * y - v_y))
 credential = read_credential(Path(os.environ["OUTRIDER_CREDENTIALS"]))
@@ -252,8 +252,7 @@ PILOT_IMAGE = (
 )
 
 
-# A browser's side of the opening handshake; what the server sends is plain text in frames that need no decoding to
-# be searched.
+# Opening handshake of a browser; the server's frames are plain text and can be searched undecoded.
 UPGRADE = (
     "GET /frames HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nCookie: "
     "{cookie}\r\n"
@@ -262,14 +261,14 @@ UPGRADE = (
 
 
 class CheckFailed(Exception):
-    """A check does not hold; says why."""
+    """A failed check, with its reason."""
 
 
 def expect(holds: bool, otherwise: str) -> None:
-    """Go on if it holds.
+    """Check a condition.
 
     Raises:
-        CheckFailed: If not.
+        CheckFailed: If it is false.
     """
     if not holds:
         raise CheckFailed(otherwise)
@@ -282,7 +281,7 @@ def say(line: str) -> None:
 
 
 def free_port() -> int:
-    """A port of this machine that nobody listens on."""
+    """Return a port on which no process listens."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
@@ -290,7 +289,7 @@ def free_port() -> int:
 
 
 def fetch(port: int, path: str) -> tuple[int, str]:
-    """Status of a page of this machine, and the cookie that comes with it."""
+    """Return the status of a local page, and its cookie."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
     try:
         connection.request("GET", path)
@@ -301,7 +300,7 @@ def fetch(port: int, path: str) -> tuple[int, str]:
 
 
 def ticks_shown(port: int, cookie: str, seconds: float) -> list[int]:
-    """The ticks that a browser is shown in this time, as far as it answers nothing; none where it is not let in."""
+    """Return the ticks that a passive browser receives in this time; none if it is not admitted."""
     with (
         contextlib.suppress(TimeoutError),
         socket.create_connection(("127.0.0.1", port), timeout=seconds) as channel,
@@ -317,7 +316,7 @@ def ticks_shown(port: int, cookie: str, seconds: float) -> list[int]:
 
 
 def received_by_station(port: int, seconds: float) -> dict[int, set[int]]:
-    """Identifiers of the MAVLink 2 messages that a ground station of this machine receives, by their system."""
+    """Return the identifiers of the MAVLink 2 messages that a local ground station receives, by system."""
     received: dict[int, set[int]] = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as channel:
         channel.settimeout(0.5)
@@ -337,7 +336,7 @@ def received_by_station(port: int, seconds: float) -> dict[int, set[int]]:
 
 
 def own_address() -> str:
-    """The host's address on its way to the world outside; nothing is sent to find it."""
+    """Return the host's address towards the outside; no packet is sent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))
@@ -348,7 +347,7 @@ def own_address() -> str:
 
 
 class Docker:
-    """The engine, and a Compose project of its own name with files in a folder of its own."""
+    """The Docker engine, and a Compose project with its own name and folder."""
 
     def __init__(self, program: str, folder: Path) -> None:
         name = f"outrider-test-{os.getpid()}"
@@ -381,7 +380,7 @@ class Docker:
         }
 
     def __call__(self, *words: str, limit: float = 60.0, check: bool = True, **more: str) -> str:
-        """Run `docker WORDS`, with more environment; its output.
+        """Run `docker WORDS` with additional environment variables, and return its output.
 
         Raises:
             CheckFailed: If it fails or takes too long.
@@ -396,7 +395,7 @@ class Docker:
     def ended(
         self, *words: str, limit: float = 60.0, **more: str
     ) -> "subprocess.CompletedProcess[str]":
-        """Run `docker WORDS`, with more environment, to its end, good or bad.
+        """Run `docker WORDS` with additional environment variables, and return its result, good or bad.
 
         Raises:
             CheckFailed: If it takes too long.
@@ -425,20 +424,20 @@ class Docker:
         return self.compose("exec", "-T", service, "python", "-c", script, *words)
 
     def found(self, service: str, script: str, *words: str) -> Any:
-        """The findings of a script in a service's container."""
+        """Return the JSON output of a script in a service's container."""
         return json.loads(self.python(service, script, *words))
 
     def container(self, service: str) -> str:
-        """The id of a service's container."""
+        """Return the id of a service's container."""
         return self.compose("ps", "--all", "--quiet", service).strip()
 
     def inspect(self, what: str) -> Json:
-        """All that is known of an image or a container."""
+        """Return the description of an image or a container."""
         found: Json = json.loads(self("inspect", what))[0]
         return found
 
     def clean(self) -> None:
-        """Remove all that belongs to the project."""
+        """Remove everything that belongs to the project."""
         images = (self.pilot_image, self.page_image, self.mavlink_image, self.image)
         with contextlib.suppress(CheckFailed):
             self.down()
@@ -447,7 +446,7 @@ class Docker:
 
     @contextlib.contextmanager
     def standing(self, *services: str, **more: str) -> Iterator[None]:
-        """While services run, by default the whole stack; it is taken down afterwards."""
+        """Run services, by default the whole stack, and take them down afterwards."""
         try:
             self.compose("up", "--detach", *services, limit=120.0, **more)
             yield
@@ -456,31 +455,31 @@ class Docker:
 
     @contextlib.contextmanager
     def flying(self, *, duration: str, at_tick: int = 1000) -> Iterator[None]:
-        """While the stack flies, from some tick on; it is taken down afterwards."""
+        """Run the stack, continue at a tick, and take it down afterwards."""
         with self.standing(OUTRIDER_DURATION=duration):
             self.python("router", FOLLOW, str(at_tick))
             yield
 
     def down(self) -> None:
-        """Take the stack down and forget its volumes."""
+        """Take the stack down and remove its volumes."""
         words = ("--profile", "*", "down", "--volumes", "--remove-orphans", "--timeout", "5")
         self.compose(*words, limit=90.0, check=False)
 
     def flown(self, *words: str, **more: str) -> Json:
-        """The summary of a flight to its end, by `UP` where nothing else is said; the stack is taken down."""
+        """Return the summary of a complete run, by default with `UP`, and take the stack down."""
         self.compose(*(words or UP), limit=180.0, **more)
         summary = self.summary()
         self.down()
         return summary
 
     def landed(self) -> tuple[int, str]:
-        """Wait for the simulator's end: its exit code, and what it said."""
+        """Wait until the simulator ends; return its exit code and its log."""
         container = self.container("simulator")
         code = int(self("wait", container, limit=120.0))
         return code, self.compose("logs", "--no-log-prefix", "simulator")
 
     def summary(self) -> Json:
-        """Remains of the last flight; they are there once only."""
+        """Return the summary of the last run, and delete its file."""
         path = self.runs / RUN / "summary.json"
         expect(path.exists(), "the simulator has left no summary")
         found: Json = json.loads(path.read_text())
@@ -488,7 +487,7 @@ class Docker:
         return found
 
     def reference(self, duration: str | None = None, scenario: str = "escort") -> Json:
-        """The same flight in one process, in the same image."""
+        """Return the summary of the same run in one process, in the same image."""
         words = ["run", scenario, "--in-process", "--no-files", "--json"] + (
             ["--duration", duration] if duration else []
         )
@@ -506,10 +505,10 @@ class Docker:
 
 
 def same_flight(flown: Json, reference: Json) -> str:
-    """Words about two flights with the same bits.
+    """Check that two runs have the same bits, and describe them.
 
     Raises:
-        CheckFailed: If they have not.
+        CheckFailed: If they differ.
     """
     for field in ("platform", "ticks", "secret", "trajectory_sha256"):
         expect(
@@ -524,7 +523,7 @@ def same_flight(flown: Json, reference: Json) -> str:
 
 
 class Checks:
-    """The checks, a public method each, in the order in which they run."""
+    """The checks: one public method each, in the order of execution."""
 
     def __init__(self, docker: Docker) -> None:
         self.docker = docker
@@ -536,7 +535,7 @@ class Checks:
         return self._references[duration]
 
     def build(self) -> str:
-        """The image is built, small, and not root's."""
+        """The image is built, is small, and does not run as root."""
         image = self._build(self.docker.image)
         size = image["Size"] / 1e6
         expect("Healthcheck" in image["Config"], "it has no health check")
@@ -544,21 +543,21 @@ class Checks:
         return f"{size:.0f} MB, user {image['Config']['User']}"
 
     def _build_target(self, target: str, tag: str, largest: int) -> float:
-        """Build a larger image; the MB that it has besides."""
+        """Build a larger image; return its additional size [MB]."""
         size = self._build(tag, "--target", target)["Size"]
         more = (size - self.docker.inspect(self.docker.image)["Size"]) / 1e6
         expect(more < largest, f"it takes {more:.0f} MB more; allowed are {largest} MB")
         return float(more)
 
     def _build(self, tag: str, *more: str) -> Json:
-        """An image, which must not be root's."""
+        """Build an image that does not run as root."""
         docker = self.docker
         words = ["build", "--tag", tag, *more]
         proxies = [
             name for name in os.environ if name.upper() in ("HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY")
         ]
         for name in proxies:
-            # predefined: handed on from here, and no part of the image
+            # predefined arguments: passed on, and not stored in the image
             words += ["--build-arg", name]
         if any(host in os.environ[name] for name in proxies for host in ("127.0.0.1", "localhost")):
             words.append("--network=host")
@@ -578,7 +577,7 @@ class Checks:
         return image
 
     def credentials(self) -> str:
-        """`docker compose run credentials` makes them."""
+        """`docker compose run credentials` creates the credentials."""
         docker = self.docker
         docker.compose("run", "--rm", "credentials")
         files = sorted((docker.folder / "credentials").glob("*.json"))
@@ -588,57 +587,61 @@ class Checks:
 
     def escort(self) -> str:
         """`docker compose up` flies the escort scenario to its end."""
-        docker, told = self.docker, ""
+        docker, same = self.docker, ""
         docker.compose("up", limit=120.0)
         same_flight(docker.summary(), self._reference())
         self._all_end_well()
         docker.down()
         for _ in range(2):
-            told = same_flight(docker.flown(), self._reference())
-        return told + "; three times, exit 0"
+            same = same_flight(docker.flown(), self._reference())
+        return same + "; three times, exit 0"
 
     def _all_end_well(self) -> None:
-        """Nothing goes on running once the flight is over."""
+        """Check that every container ends with the run."""
         for service in ("router", "simulator", "uav", "ugv"):
             code = self.docker("wait", self.docker.container(service), limit=20.0).strip()
             expect(code == "0", f"{service} ended with {code}")
 
     def lossy(self) -> str:
-        """Lost commands that carry motions, and a recorded link: the same flight."""
+        """Lost commands with backup trajectories, and a recorded link: the same run."""
         docker, scenario = self.docker, "/runs/lossy.toml"
         shutil.copy(ROOT / "examples" / "networks" / "wifi-far.csv", docker.runs)
         (docker.runs / "lossy.toml").write_text(LOSSY)
         flown = docker.flown(OUTRIDER_SCENARIO=scenario)
-        told = same_flight(flown, docker.reference(scenario=scenario))
-        looks, commands = (flown["links"][f"uav_0/{kind}"] for kind in ("detections", "commands"))
+        same = same_flight(flown, docker.reference(scenario=scenario))
+        detections, commands = (
+            flown["links"][f"uav_0/{kind}"] for kind in ("detections", "commands")
+        )
         share, lost = flown["certified_share"], commands["lost"]["loss"]
         expect("wifi-far.csv" in flown["traces"], "no recorded link was played")
-        expect(looks["max_age"] > looks["mean_age"] > 0.0, "the recorded link delays nothing")
+        expect(
+            detections["max_age"] > detections["mean_age"] > 0.0, "the recorded link delays nothing"
+        )
         expect(lost > 0, "no command was lost")
         expect(share > 0.99, f"certified in {share} of the ticks")
-        return f"{told}; {lost} commands lost, certified in {share:.1%} of the ticks"
+        return f"{same}; {lost} commands lost, certified in {share:.1%} of the ticks"
 
     def hazards(self) -> str:
-        """A UGV that finds its way through each shipped ground with hazards: the same flights."""
-        told = []
+        """A UGV that navigates each shipped ground with hazards: the same runs."""
+        results = []
         for scenario in ("minefield", "rubble", "rescue"):
             flown = self.docker.flown(OUTRIDER_SCENARIO=scenario)
             same_flight(flown, self.docker.reference(scenario=scenario))
             mission = flown["mission"]
             expect(mission["hazards_hit"] == 0, f"{scenario}: {mission['hazards_hit']} hazards hit")
             when = f"after {mission['mission_time']:.0f} s" if mission["arrived"] else "not in time"
-            told.append(f"{scenario}: no hazard hit, arrived {when}")
-        return f"the same bits; {'; '.join(told)}"
+            results.append(f"{scenario}: no hazard hit, arrived {when}")
+        return f"the same bits; {'; '.join(results)}"
 
     def failure(self) -> str:
-        """A flight that cannot be flown ends with the simulator's exit code."""
+        """An invalid scenario ends with the simulator's exit code."""
         done = self.docker.ended("compose", *UP, limit=90.0, OUTRIDER_SCENARIO="no-such-scenario")
         self.docker.down()
         expect(done.returncode == 2, f"exit code {done.returncode}")
         return "exit code 2"
 
     def networks(self) -> str:
-        """The UAV's container reaches the router and nobody else."""
+        """The UAV's container reaches the router and no other host."""
         docker = self.docker
         with docker.flying(duration=ENDLESS, at_tick=100):
             addresses = {}
@@ -654,16 +657,14 @@ class Checks:
                 for service, address in addresses.items()
                 for host in (service, address)
             ]
-            for service, address in addresses.items():  # somebody does listen there
+            for service, address in addresses.items():  # a process listens there
                 received = docker.found("router", CALL, f"{service}:9000", f"{address}:9000")
                 expect(
                     set(received.values()) == {"open"},
                     f"the router, which shares a network with {service}, finds {received}",
                 )
             found = docker.found("uav", CALL, "router:17447", *others)
-            with socket.create_server(
-                ("", 0)
-            ) as host:  # a service of the host, on all of its addresses
+            with socket.create_server(("", 0)) as host:  # a service on all addresses of the host
                 gateway = docker.inspect(f"{docker.project}_uav")["IPAM"]["Config"][0][
                     "Gateway"
                 ].partition("/")[0]
@@ -675,7 +676,7 @@ class Checks:
             return f"router: open; {', '.join(addresses)} by name and address, the host, near and far: unreachable"
 
     def keys(self) -> str:
-        """The UAV's container receives its own keys only, writes its own only, and strangers do not get in."""
+        """The UAV's container receives and writes only its own keys, and strangers are not admitted."""
         docker, prefix = self.docker, f"outrider/{RUN}"
         own = f"{prefix}/uav_0/observation"
         topics = (
@@ -693,7 +694,7 @@ class Checks:
 
         with docker.flying(duration=ENDLESS), ThreadPoolExecutor() as pool:
             spoiled = f"{prefix}/ugv_0/command,{prefix}/uav_0/command"
-            asked = {
+            tasks = {
                 "uav": pool.submit(
                     listen, "uav", "uav_0", "own", own, *others, "**", spoiled=spoiled
                 ),
@@ -701,7 +702,7 @@ class Checks:
                 "simulator": pool.submit(listen, "simulator", "simulator", "own", others[1]),
                 "observer": pool.submit(listen, "router", "observer", "own", *others[3:5]),
             }
-            received = {who: answer.result() for who, answer in asked.items()}
+            received = {who: answer.result() for who, answer in tasks.items()}
             for who, allowed in {
                 "ugv": others[:1],
                 "simulator": others[1:2],
@@ -738,14 +739,14 @@ class Checks:
         )
 
     def tls(self) -> str:
-        """With certificates: the same flight, nothing readable on the network, and others do not get in."""
+        """With certificates: the same run, no readable data on the network, and no strangers."""
         docker = self.docker
         certified = {
             "OUTRIDER_PROTOCOL": "tls",
             "OUTRIDER_SECRETS": str(docker.folder / "certificates"),
         }
         docker.compose("run", "--rm", "credentials", **certified)
-        told = same_flight(docker.flown(**certified), self._reference())
+        same = same_flight(docker.flown(**certified), self._reference())
         with docker.standing(OUTRIDER_DURATION=ENDLESS, **certified):
             crossing = docker.found("uav", TAP, f"outrider/{RUN}/uav_0/observation", "30")
             expect(crossing["received"] >= 100, f"its observations do not come: {crossing}")
@@ -757,11 +758,11 @@ class Checks:
         )
         expect(set(found.values()) == {"refused"}, f"others: {found}")
         return (
-            f"{told}; of {crossing['bytes']} bytes nothing is readable; refused: {', '.join(found)}"
+            f"{same}; of {crossing['bytes']} bytes nothing is readable; refused: {', '.join(found)}"
         )
 
     def _disturbed(self, disturb: Callable[[], object], *, lost: str) -> str:
-        """Fly, disturb, and compare with the undisturbed flight."""
+        """Disturb a run, and compare it with the undisturbed one."""
         reference = self._reference(LONG)
         with self.docker.flying(duration=LONG):
             disturb()
@@ -769,16 +770,16 @@ class Checks:
         expect(code == 0, f"the simulator ended with {code}: {log[-300:]}")
         found = re.search(rf"{lost} is lost(?: at tick (\d+))?", log)
         expect(found is not None, f"the simulator has not noticed: {log[-300:]}")
-        told = same_flight(self.docker.summary(), reference)
+        same = same_flight(self.docker.summary(), reference)
         at = found.group(1) if found else None
-        return f"lost at tick {at}; {told}" if at else told
+        return f"lost at tick {at}; {same}" if at else same
 
     def kill(self) -> str:
-        """The UAV's process is killed with SIGKILL, and Docker starts it again."""
+        """The UAV's process is killed with SIGKILL, and Docker restarts it."""
         return self._disturbed(lambda: self.docker.python("uav", KILL), lost="uav_0")
 
     def pause(self) -> str:
-        """The UAV's container stands still for 3 s."""
+        """The UAV's container is paused for 3 s."""
 
         def disturb() -> None:
             self.docker.compose("pause", "uav")
@@ -788,7 +789,7 @@ class Checks:
         return self._disturbed(disturb, lost="uav_0")
 
     def disconnect(self) -> str:
-        """The UGV's container is off its network for 3 s."""
+        """The UGV's container is disconnected from its network for 3 s."""
 
         def disturb() -> None:
             docker, container, network = (
@@ -803,7 +804,7 @@ class Checks:
         return self._disturbed(disturb, lost="ugv_0")
 
     def router(self) -> str:
-        """The router's container is killed, and started again."""
+        """The router's container is killed and restarted."""
 
         def disturb() -> None:
             container = self.docker.container("router")
@@ -814,7 +815,7 @@ class Checks:
         return self._disturbed(disturb, lost="the router")
 
     def router_crash(self) -> str:
-        """The router's process is killed with SIGKILL, and Docker starts it again."""
+        """The router's process is killed with SIGKILL, and Docker restarts it."""
         return self._disturbed(lambda: self.docker.python("router", KILL), lost="the router")
 
     def realtime(self) -> str:
@@ -826,7 +827,7 @@ class Checks:
         return f"factor {factor:.3f} of 10, {flown['late_ticks']} of {flown['ticks']} ticks late"
 
     def dashboard(self) -> str:
-        """The page is there for a browser of this machine alone that knows the token, and shows the run live."""
+        """The page is served to local browsers that know the token, and shows the run live."""
         docker, port = self.docker, free_port()
         more = self._build_target("dashboard", docker.page_image, PAGE_LARGEST)
         words = ("simulator-realtime", "dashboard")
@@ -840,7 +841,7 @@ class Checks:
             expect(
                 fetch(port, "/?token=not-the-token")[0] == 401, "it is served with a wrong token"
             )
-            expect(not ticks_shown(port, "", 5.0), "it is told how the run goes without the token")
+            expect(not ticks_shown(port, "", 5.0), "the run is shown without the token")
             status, cookie = fetch(port, address)
             expect(status == 303 and bool(cookie), f"the address in the log gives {status}")
             ticks, limit = [0], time.monotonic() + 40.0
@@ -858,7 +859,7 @@ class Checks:
         )
 
     def ros2(self) -> str:
-        """A node on the network ros2 is told the run in ROS 2's wire format, and nothing that is a vehicle's."""
+        """A node on the network ros2 receives the run in ROS 2's wire format, and no vehicle's own topics."""
         docker, folder = self.docker, self.docker.folder / "ros2-credentials"
         more = {"OUTRIDER_SECRETS": str(folder), "OUTRIDER_DURATION": ENDLESS}
         docker.compose("run", "--rm", "credentials", OUTRIDER_ROLES="ros2", **more)
@@ -871,12 +872,12 @@ class Checks:
         topics = {"/".join(key.split("/")[1:-2]) for key in received["observer"]}
         expect(
             {"clock", "tf", "uav_0/odom", "ugv_0/odom"} <= topics,
-            f"a node that looks on receives {sorted(topics)}",
+            f"an observing node receives {sorted(topics)}",
         )
         own = {
             key for key in received["observer"] if "/pilot/" in key or key.startswith("outrider/")
         }
-        expect(not own, f"a node that looks on receives {own}")
+        expect(not own, f"an observing node receives {own}")
         others = {key for key in received["uav"] if "uav_0" not in key}
         expect(not others, f"with the UAV's credentials a node receives {others}")
         return f"{len(topics)} topics, {sum(received['observer'].values())} messages in 3 s"
@@ -893,12 +894,12 @@ class Checks:
             "--entrypoint=python",
         ]
         keys = ["0/*/**/RIHS01_$*", f"outrider/{RUN}/truth", f"outrider/{RUN}/status"]
-        told = docker("run", *words, docker.image, "-c", LISTEN, name, "own", "3", "", *keys)
-        found: Json = json.loads(told)
+        printed = docker("run", *words, docker.image, "-c", LISTEN, name, "own", "3", "", *keys)
+        found: Json = json.loads(printed)
         return found
 
     def mavlink(self) -> str:
-        """A ground station of this machine that speaks to the port is told both vehicles."""
+        """A local ground station that sends to the port receives both vehicles."""
         docker, port = self.docker, free_port()
         more = self._build_target("mavlink", docker.mavlink_image, MAVLINK_LARGEST)
         words = ("simulator-realtime", "mavlink")
@@ -907,14 +908,14 @@ class Checks:
             hosts = [row["HostIp"] for row in bound["14550/udp"]]
             expect(hosts == ["127.0.0.1"], f"it is published at {bound}")
             received = received_by_station(port, 60.0)
-        expect(len(received) == 2, f"it is told of the systems {received}")
+        expect(len(received) == 2, f"it receives the systems {received}")
         for system, kinds in received.items():
-            expect(0 in kinds and len(kinds) >= 3, f"of system {system} it is told {kinds}")
+            expect(0 in kinds and len(kinds) >= 3, f"from system {system} it receives {kinds}")
         counts = ", ".join(f"system {system}: {len(kinds)}" for system, kinds in received.items())
         return f"{more:.0f} MB more; kinds of messages received at 127.0.0.1:{port}: {counts}"
 
     def _address_of_the_page(self, port: int) -> str:
-        """Path and token, from the log."""
+        """Return the page's path with the token, from the log."""
         limit = time.monotonic() + 60.0
         while time.monotonic() < limit:
             log = self.docker.compose("logs", "--no-log-prefix", "dashboard")
@@ -924,7 +925,7 @@ class Checks:
         raise CheckFailed("its log does not tell where it is")
 
     def override(self) -> str:
-        """The override file puts the user's own image in the UAV's place."""
+        """The override file replaces the UAV's image by the user's."""
         docker = self.docker
         (docker.folder / "pilot").mkdir()
         (docker.folder / "pilot" / "pilot.py").write_text(PILOT)
@@ -944,13 +945,13 @@ class Checks:
         return f"flown to the end, mean distance {flown['mean_distance']:.2f} m"
 
     def stop(self) -> str:
-        """SIGTERM in mid-flight ends every container soon, and the flight so far is kept."""
+        """SIGTERM during a run ends every container soon, and the summary so far is kept."""
         docker = self.docker
         with docker.flying(duration=ENDLESS):
             services = ("simulator", "uav", "ugv", "router")
             containers = [docker.container(service) for service in services]
             started = time.monotonic()
-            # all at once: Compose would let the vehicles see the flight's end first
+            # all at once: otherwise the vehicles would see the end of the run first
             docker("stop", *containers)
             seconds = time.monotonic() - started
             codes = {
@@ -968,7 +969,7 @@ ORDER = tuple(name for name in vars(Checks) if not name.startswith("_"))
 
 
 def engine() -> str | None:
-    """Path of docker, if there is an engine that answers, and Compose."""
+    """Return the path of docker, if its engine and Compose are available."""
     program = shutil.which("docker")
     if program is None:
         return None
@@ -981,7 +982,7 @@ def engine() -> str | None:
 
 
 def run_checks(docker: Docker, chosen: list[str]) -> bool:
-    """Run them, print a line for each, and say whether all hold."""
+    """Run the checks, print a line for each, and return whether all hold."""
     checks = Checks(docker)
     failed = []
     for name in chosen:
@@ -989,14 +990,14 @@ def run_checks(docker: Docker, chosen: list[str]) -> bool:
         say(f"      {name}: {(check.__doc__ or '').splitlines()[0]}")
         started = time.monotonic()
         try:
-            told, verdict = check(), "ok"
+            text, verdict = check(), "ok"
         except CheckFailed as error:
-            told, verdict = str(error), "FAIL"
+            text, verdict = str(error), "FAIL"
             failed.append(name)
             docker.down()
-        say(f"{verdict:<6}{name:<14}{time.monotonic() - started:6.1f} s  {told}")
+        say(f"{verdict:<6}{name:<14}{time.monotonic() - started:6.1f} s  {text}")
         if failed and name in ("build", "credentials"):
-            break  # without these there is nothing to try
+            break  # all other checks need these
     say(
         f"{len(failed)} of {len(chosen)} checks do not hold: {', '.join(failed)}"
         if failed
@@ -1010,7 +1011,7 @@ def _interrupted(_number: int, _frame: FrameType | None) -> None:
 
 
 def main() -> int:
-    """Run all checks, or those that are named after the always needed first two."""
+    """Run all checks, or `build`, `credentials` and the named ones."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("names", metavar="NAME", nargs="*", help=", ".join(ORDER))
     names = parser.parse_args().names

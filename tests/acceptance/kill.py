@@ -1,7 +1,7 @@
-"""A vehicle killed at any moment, from its process' start to the run's end: does `--respawn` fly the same bits?
+"""A vehicle killed at a random time between the start of its process and the end of the run, with `--respawn`.
 
-Flies a short run again and again, kills one vehicle's process of each at a random moment, and prints what became
-of it. Exit code 0 if every run flew the trajectory of an undisturbed one and nothing is left behind.
+Repeats a short run, kills one vehicle's process at a random time, and prints the outcome. Exit code 0 if every run flew
+the trajectory of an undisturbed one and nothing is left behind.
 
 Example: python tests/acceptance/kill.py --kills 40 --seed 1
 """
@@ -17,52 +17,52 @@ import tempfile
 import time
 from collections.abc import Callable
 
-from soak import respawning, strike
+from soak import disturb_vehicle, respawning
 
 from outrider.running.flying import fly
 from sim.scenario.loading import load_scenario
 
 _PATIENCE = 300.0
-"""A run that has not ended after so long [s] is stuck."""
+"""Time limit of a run [s]."""
 KILLS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM)
-"""The blows of which a process dies."""
+"""The signals that end a process."""
 
-Blow = Callable[["subprocess.Popen[bytes]"], str]
+Disturbance = Callable[["subprocess.Popen[bytes]"], str]
 
 
-def flown(duration: float, blow: Blow) -> tuple[str, dict[str, object], str, float]:
-    """One run, disturbed: what was done to it, its summary, its standard error, and how long it took [s]."""
+def flown(duration: float, disturb: Disturbance) -> tuple[str, dict[str, object], str, float]:
+    """Return the disturbance of one run, its summary, its standard error, and its duration [s]."""
     started = time.monotonic()
     with (
         tempfile.TemporaryDirectory(prefix="o-") as folder,
-        tempfile.TemporaryFile() as said,
-        respawning(duration, folder, said) as run,
+        tempfile.TemporaryFile() as log_file,
+        respawning(duration, folder, log_file) as run,
     ):
-        done = blow(run)
+        done = disturb(run)
         out, _ = run.communicate(timeout=_PATIENCE)
-        said.seek(0)
-        told = said.read().decode(errors="replace")
+        log_file.seek(0)
+        log = log_file.read().decode(errors="replace")
         summary = json.loads(out) if out.strip() else {}
         summary["code"], summary["left"] = run.returncode, os.listdir(folder)
-    return done, summary, told, time.monotonic() - started
+    return done, summary, log, time.monotonic() - started
 
 
-def at(moment: float, rng: random.Random) -> Blow:
-    """Kill one vehicle so long after the run's start [s], or as soon as there is one."""
+def at(moment: float, rng: random.Random) -> Disturbance:
+    """Kill one vehicle this long after the start of the run [s], or as soon as one exists."""
 
-    def blow(run: "subprocess.Popen[bytes]") -> str:
+    def disturb(run: "subprocess.Popen[bytes]") -> str:
         time.sleep(moment)
         while run.poll() is None:
-            if done := strike(run.pid, rng, KILLS):
+            if done := disturb_vehicle(run.pid, rng, KILLS):
                 return done
             time.sleep(0.002)
         return ""
 
-    return blow
+    return disturb
 
 
 def main() -> int:
-    """Fly, kill, and judge."""
+    """Kill vehicles, and compare the trajectories."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -79,12 +79,12 @@ def main() -> int:
     struck = bad = early = 0
     while struck < options.kills:
         moment = rng.uniform(0.0, span)
-        done, summary, told, seconds = flown(options.duration, at(moment, rng))
+        done, summary, log, seconds = flown(options.duration, at(moment, rng))
         if not done:
-            span = min(span, seconds)  # it was over before
+            span = min(span, seconds)  # the run had already ended
             continue
         struck += 1
-        lost = told.partition("disconnected at tick ")[2].split()[:1]
+        lost = log.partition("disconnected at tick ")[2].split()[:1]
         before = not lost or lost == ["0"]
         early += before
         fine = (
@@ -93,12 +93,12 @@ def main() -> int:
             and not summary["left"]
         )
         bad += not fine
-        where = f"lost at tick {lost[0]}" if lost else "nobody had met it, or the flight was over"
+        where = f"lost at tick {lost[0]}" if lost else "before the first tick, or after the last"
         sys.stdout.write(
             f"{struck:3d}  {moment:6.2f} s  {done:12}  {where:42}  {'the same' if fine else 'CHANGED'}\n"
         )
         if not fine:
-            sys.stdout.write(f"{told}\n{summary}\n")
+            sys.stdout.write(f"{log}\n{summary}\n")
         sys.stdout.flush()
     sys.stdout.write(
         f"{struck} kills, {early} of them before the first tick or after the last: {struck - bad} with one hash\n"

@@ -1,9 +1,9 @@
-"""An hour of simulated time at full speed, with processes killed and frozen at random.
+"""An hour of simulated time at full speed, with processes killed and stopped at random.
 
 Does anything leak, drift or change?
 
-Flies `outrider run --respawn` and prints what was done to it, how the memory of each process grew, and whether the
-trajectory is the one of an undisturbed run in one process. Exit code 0 if it is and nothing is left behind.
+Flies `outrider run --respawn` and prints the disturbances, the growth of each process's memory, and whether the
+trajectory equals that of an undisturbed run in one process. Exit code 0 if it does and nothing is left behind.
 
 Example: python tests/acceptance/soak.py --duration 3600 --seed 1
 """
@@ -31,20 +31,20 @@ from outrider.running.flying import fly
 from sim.scenario.loading import load_scenario
 
 PAGE = os.sysconf("SC_PAGE_SIZE") / 2**20
-"""MB."""
-BLOWS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGSTOP)
-"""The signals that strike a vehicle's process; kills come twice as often."""
+"""Size of a memory page [MB]."""
+SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGSTOP)
+"""The signals to a vehicle's process; kills come twice as often."""
 
 
 def respawning(
     duration: float, folder: str, errors: "IO[bytes] | int"
 ) -> "subprocess.Popen[bytes]":
-    """A run of `escort` that starts lost vehicles anew.
+    """Start a run of `escort` that restarts lost vehicles.
 
     Args:
         duration: Simulated time [s].
-        folder: For its temporary files.
-        errors: Takes its standard error.
+        folder: Folder of its temporary files.
+        errors: File for its standard error.
     """
     arguments = ["run", "escort", "--duration", str(duration), "--respawn", "--no-files", "--json"]
     return subprocess.Popen(
@@ -56,7 +56,7 @@ def respawning(
 
 
 def words(pid: int) -> list[str]:
-    """A process' command line; empty if it has gone."""
+    """Return the command line of a process; empty if it has ended."""
     try:
         return Path(f"/proc/{pid}/cmdline").read_bytes().decode().split("\0")
     except (FileNotFoundError, ProcessLookupError):
@@ -64,7 +64,7 @@ def words(pid: int) -> list[str]:
 
 
 def family(pid: int) -> dict[int, str]:
-    """The run's processes: pid, and what each is."""
+    """Return the kind of each process of the run by pid."""
     try:
         children = [
             int(child)
@@ -76,14 +76,14 @@ def family(pid: int) -> dict[int, str]:
         return {}
     found = {child: words(child) for child in children}
     return {
-        child: said[said.index("outrider") + 1]
-        for child, said in found.items()
-        if "outrider" in said
+        child: arguments[arguments.index("outrider") + 1]
+        for child, arguments in found.items()
+        if "outrider" in arguments
     }
 
 
 def memory(pid: int) -> float | None:
-    """Memory of a process [MB]; None if it has gone."""
+    """Return the memory of a process [MB]; None if it has ended."""
     try:
         return int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]) * PAGE
     except (FileNotFoundError, ProcessLookupError):
@@ -98,19 +98,19 @@ class Tracks:
 
     @property
     def pids(self) -> set[int]:
-        """Every process that was ever seen."""
+        """Return all processes that were sampled."""
         return {pid for _, pid in self._samples}
 
     def sample(self, run: int, seconds: float) -> None:
-        """Look at all of them once."""
+        """Sample the memory of all processes once."""
         for pid, kind in family(run).items():
-            held = memory(pid)
-            if held is not None:
-                self._samples.setdefault((kind, pid), []).append((seconds, held))
+            used = memory(pid)
+            if used is not None:
+                self._samples.setdefault((kind, pid), []).append((seconds, used))
 
     def lines(self) -> list[str]:
-        """For each process that lived long enough: what it holds, and how fast that grows once it has settled."""
-        told = []
+        """Return memory and growth rate, after the initial phase, of each process that lived long enough."""
+        report_lines = []
         for (kind, pid), samples in self._samples.items():
             rows = np.array(samples)
             settled = rows[len(rows) // 4 :]
@@ -118,46 +118,48 @@ class Tracks:
                 continue
             slope = float(np.polyfit(settled[:, 0], settled[:, 1], 1)[0]) * 3600.0
             span = settled[-1, 0] - settled[0, 0]
-            told.append(
+            report_lines.append(
                 f"{kind:10} {pid:8d}  {rows[-1, 1]:7.1f} MB  {slope:+8.2f} MB an hour of simulated time, over "
                 f"{span:5.0f} s"
             )
-        return told
+        return report_lines
 
 
-def strike(run: int, rng: random.Random, blows: Sequence[signal.Signals] = BLOWS) -> str:
-    """Do something to one of the vehicles' processes; what it was, "" if there is none or it has just gone."""
+def disturb_vehicle(
+    run: int, rng: random.Random, disturbances: Sequence[signal.Signals] = SIGNALS
+) -> str:
+    """Send a signal to one of the vehicles' processes; return its description, or "" if there is no process."""
     victims = {pid: kind for pid, kind in family(run).items() if kind in ("uav", "ugv")}
     if not victims:
         return ""
     pid = rng.choice(sorted(victims))
-    blow = rng.choice(blows)
+    disturbance = rng.choice(disturbances)
     try:
-        os.kill(pid, blow)
-        if blow is signal.SIGSTOP:
+        os.kill(pid, disturbance)
+        if disturbance is signal.SIGSTOP:
             time.sleep(rng.uniform(0.2, 2.5))
             os.kill(pid, signal.SIGCONT)
     except ProcessLookupError:
         return ""
-    return f"{blow.name} {victims[pid]}"
+    return f"{disturbance.name} {victims[pid]}"
 
 
 def watch(
     run: "subprocess.Popen[bytes]", rng: random.Random, every: float
 ) -> tuple[Tracks, list[str]]:
     """Follow a run to its end, and disturb it every few seconds of wall time."""
-    said: list[str] = []
-    while "--credentials" not in said:
+    arguments: list[str] = []
+    while "--credentials" not in arguments:
         time.sleep(0.1)
-        said = next(
+        arguments = next(
             (words(pid) for pid, kind in family(run.pid).items() if kind == "simulator"), []
         )
     endpoint, name, known = (
-        said[said.index(option) + 1] for option in ("--listen", "--run", "--credentials")
+        arguments[arguments.index(option) + 1] for option in ("--listen", "--run", "--credentials")
     )
     while not Path(endpoint.removeprefix("unixsock-stream/")).exists():
         time.sleep(0.1)
-    tracks, blows, due = Tracks(), list[str](), time.monotonic() + 2.0 * every
+    tracks, disturbances, due = Tracks(), list[str](), time.monotonic() + 2.0 * every
     observer, credential = (
         Party(role=Role.OBSERVER, name="observer"),
         read_credential(Path(known).with_name("observer.json")),
@@ -175,35 +177,38 @@ def watch(
                 tracks.sample(run.pid, status.time)
                 sys.stderr.write(
                     f"\r{status.time:8.1f} s of {status.ticks * status.time / max(status.tick, 1):.0f} s, "
-                    f"{len(blows)} blows "
+                    f"{len(disturbances)} disturbances "
                 )
             if status.over:
                 break
             if now > due and status.tick:
                 due = now + rng.uniform(0.5, 1.5) * every
-                blow = strike(run.pid, rng)
-                if blow:
-                    blows.append(f"{blow} at {status.time:.1f} s")
+                disturbance = disturb_vehicle(run.pid, rng)
+                if disturbance:
+                    disturbances.append(f"{disturbance} at {status.time:.1f} s")
     sys.stderr.write("\n")
-    return tracks, blows
+    return tracks, disturbances
 
 
 def main() -> int:
-    """Fly, disturb, and judge."""
+    """Fly, disturb, and compare."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--duration", type=float, default=3600.0, help="simulated time [s]")
-    parser.add_argument("--seed", type=int, default=1, help="of the blows")
+    parser.add_argument("--seed", type=int, default=1, help="of the disturbances")
     parser.add_argument(
-        "--every", type=float, default=3.0, help="wall time between two blows, on average [s]"
+        "--every",
+        type=float,
+        default=3.0,
+        help="wall time between two disturbances, on average [s]",
     )
     options = parser.parse_args()
     rng = random.Random(options.seed)
     with tempfile.TemporaryDirectory(prefix="o-") as folder:
         started = time.monotonic()
         with respawning(options.duration, folder, subprocess.DEVNULL) as run:
-            tracks, blows = watch(run, rng, options.every)
+            tracks, disturbances = watch(run, rng, options.every)
             out, _ = run.communicate(timeout=120)
         seconds = time.monotonic() - started
         left = os.listdir(folder)
@@ -214,14 +219,14 @@ def main() -> int:
     report = [
         f"{summary['ticks']} ticks, {options.duration:g} s of simulated time in {seconds:.0f} s, exit code "
         f"{run.returncode}",
-        f"{len(blows)} blows: {'; '.join(blows)}",
+        f"{len(disturbances)} disturbances: {'; '.join(disturbances)}",
         f"faults counted: {summary['faults']}",
         *tracks.lines(),
         f"trajectory: {'the same as undisturbed' if same else 'CHANGED'} ({summary['trajectory_sha256']})",
         f"left behind: {left or 'nothing'}, {sum(bool(words(pid)) for pid in tracks.pids)} processes",
     ]
     sys.stdout.write("\n".join(report) + "\n")
-    return 0 if same and not left and run.returncode == 0 and blows else 1
+    return 0 if same and not left and run.returncode == 0 and disturbances else 1
 
 
 if __name__ == "__main__":

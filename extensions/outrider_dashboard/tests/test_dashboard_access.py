@@ -24,7 +24,7 @@ from outrider_dashboard.page_guard import MAX_PENDING, Guard
 from outrider_dashboard.sources.protocol import SourceState
 from processes import free_port, wait_until
 
-TOKEN = "the-token-of-this-test"  # noqa: S105 - of this test alone
+TOKEN = "the-token-of-this-test"  # noqa: S105 - used in this test only
 HERE = "http://127.0.0.1:8080"
 FIXED = {
     "x-frame-options": "DENY",
@@ -40,7 +40,7 @@ def guarded(token: str) -> TestClient:
 
 
 def opened(token: str) -> TestClient:
-    """A browser that has been let in."""
+    """Return a client that has opened the page with the token."""
     browser = guarded(token)
     if token:
         assert browser.get(f"/?token={token}").status_code == 303
@@ -150,7 +150,7 @@ def test_a_token_that_can_be_guessed_is_refused(token: str) -> None:
 
 
 @pytest.mark.parametrize(("host", "token"), [("0.0.0.0", ""), ("127.0.0.1", TOKEN)])  # noqa: S104
-def test_no_token_is_refused_where_it_cannot_hold(host: str, token: str) -> None:
+def test_disabled_token_is_refused_where_it_cannot_protect(host: str, token: str) -> None:
     with pytest.raises(ScenarioError, match="--no-token"):
         choose_token(host, token, wanted=False)
 
@@ -159,7 +159,7 @@ def test_no_token_is_refused_where_it_cannot_hold(host: str, token: str) -> None
 
 
 class Silence:
-    """A source without news."""
+    """A source of no messages."""
 
     may_steer = False
     factor = 0.0
@@ -189,7 +189,7 @@ def test_the_page_and_its_files_are_served() -> None:
         assert FIXED.items() <= dict(page.headers).items()
 
 
-# A real server whose process may have 1,024 open files, and clients without the token
+# A real server with at most 1,024 open files, and clients without the token
 
 SERVER = """
 import resource, socket, sys
@@ -224,14 +224,14 @@ class Served:
         return socket.create_connection(("127.0.0.1", self.port), timeout=10.0)
 
     def status(self, path: str = "/") -> int:
-        """Status of a request that must be answered within a second."""
+        """Return the status of a request that must be answered within a second."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=1.0)
         with contextlib.closing(connection):
             connection.request("GET", path)
             return connection.getresponse().status
 
     def peak(self) -> float:
-        """Greatest memory of the process so far [MB]."""
+        """Return the peak memory of the process [MB]."""
         lines = Path(f"/proc/{self.process.pid}/status").read_text(encoding="ascii").splitlines()
         return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
 
@@ -255,7 +255,7 @@ def _listens(port: int) -> bool:
 
 
 def ended(connection: socket.socket, seconds: float) -> bytes:
-    """All that comes from the server until it ends the connection, which it does in this time."""
+    """Return everything the server sends before it ends the connection, within this time."""
     received = b""
     connection.settimeout(seconds)
     with contextlib.suppress(ConnectionResetError, BrokenPipeError):
@@ -269,7 +269,7 @@ def ended(connection: socket.socket, seconds: float) -> bytes:
     [b"Cookie: " + b'a="\\"' * 40_000 + b"\r\n", b"a: b\r\n" * 3_000_000],
     ids=["cookie of 160 kB", "3 million headers"],
 )
-def test_a_large_head_costs_nobody_time_or_memory(header: bytes) -> None:
+def test_large_head_costs_no_time_or_memory(header: bytes) -> None:
     with served() as server, server.connect() as attack:
         assert server.status(f"/?token={TOKEN}") == 303
         before = server.peak()

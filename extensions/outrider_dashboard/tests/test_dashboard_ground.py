@@ -1,4 +1,4 @@
-"""The ground, a route over it and a UGV without a UAV, as the page is given them."""
+"""The page with ground, with a planned route, and with a UGV without a UAV."""
 
 from pathlib import Path
 from typing import Any
@@ -21,18 +21,18 @@ HAZARDS = (
 
 
 def course(driver: str) -> Scenario:
-    """A course with a block on the straight way."""
+    """Return a scenario with an obstacle on the straight route."""
     ugv = Ugv(position=(8.0, 6.0), driver=driver, goals=((12.0, 6.0),), max_speed=0.3)
     plain = small("tracking", duration=30.0, name="course")
     return msgspec.structs.replace(plain, ugv=(ugv,), hazard=HAZARDS, ground=Ground(touch="damage"))
 
 
-def taken_in(path: Path, time: float = 0.0) -> Hub:
-    """A hub that has a recording up to this time [s]."""
-    tape = RecordedRun(flight_of(path), 1.0, lambda: 0.0)
-    hub = Hub(tape)
+def hub_at(path: Path, time: float = 0.0) -> Hub:
+    """Return a hub that has received a recording up to this time [s]."""
+    recorded_run = RecordedRun(flight_of(path), 1.0, lambda: 0.0)
+    hub = Hub(recorded_run)
     hub.update()
-    tape.seek(time)
+    recorded_run.seek(time)
     hub.update()
     return hub
 
@@ -42,15 +42,15 @@ def frame_of(hub: Hub) -> Any:
 
 
 @pytest.mark.parametrize("driver", ["waypoints", "navigate"])
-def test_the_page_is_given_the_ground_and_the_route_as_the_tape_goes_on(driver, tmp_path) -> None:
+def test_page_receives_ground_and_route_as_replay_advances(driver, tmp_path) -> None:
     recorded(tmp_path / "run.mcap", course(driver), 1)
     *_, last = grounds(tmp_path / "run.mcap", flight=0)
-    hub = taken_in(tmp_path / "run.mcap")
+    hub = hub_at(tmp_path / "run.mcap")
     browser = hub.add_browser("127.0.0.1")
     frame = msgspec.json.decode(hub.frame(browser))
     assert len(frame["ground"]["hazards"]) == len(HAZARDS)
     assert "ground" not in msgspec.json.decode(hub.frame(browser))
-    hub = taken_in(tmp_path / "run.mcap", 30.0)
+    hub = hub_at(tmp_path / "run.mcap", 30.0)
     frame = msgspec.json.decode(hub.frame(hub.add_browser("127.0.0.1")))
     assert frame["ground"]["tick"] == last.tick
     routes = {name: [list(one) for one in route] for name, route in last.routes.items()}
@@ -59,8 +59,8 @@ def test_the_page_is_given_the_ground_and_the_route_as_the_tape_goes_on(driver, 
     assert frame["status"]["mission"]["hazards_hit"] == (driver == "waypoints")
 
 
-def test_the_page_is_given_a_ugv_without_a_uav(tmp_path: Path) -> None:
+def test_page_shows_a_ugv_without_a_uav(tmp_path: Path) -> None:
     alone = load_scenario("escort", overrides={"uav": [], "duration": 2.0})
     recorded(tmp_path / "run.mcap", alone, 1)
-    frame = frame_of(taken_in(tmp_path / "run.mcap", 2.0))
+    frame = frame_of(hub_at(tmp_path / "run.mcap", 2.0))
     assert list(frame["truth"]["vehicles"]) == ["ugv_0"]

@@ -1,4 +1,4 @@
-"""The page's knowledge: who is there, the law's gains, the wheel."""
+"""The state behind the page: present processes, gains of the law, teleoperation."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -33,7 +33,7 @@ def status(law: str, *controls: Control) -> Status:
         (False, True, "The router is disconnected"),
     ],
 )
-def test_a_router_that_is_away_is_not_taken_for_its_simulator(router, simulator, line):
+def test_absent_router_is_not_reported_as_absent_simulator(router, simulator, line):
     def watch(name: str, see: Any) -> None:
         see(name, 0, simulator and name == SIMULATOR_NAME)
 
@@ -51,11 +51,11 @@ def test_the_first_law_is_flown_until_another_is_chosen() -> None:
     assert running_law(status("linear", Control(action=Action.LAW, law=OTHER)), FIRST) == OTHER
 
 
-def test_gains_that_nobody_has_told_are_not_known() -> None:
+def test_unreported_gains_are_unknown() -> None:
     assert running_law(status("logarithmic"), None) is None
-    assert running_law(status("switching"), FIRST) is None  # chosen without our having seen it
+    assert running_law(status("switching"), FIRST) is None  # chosen before this page joined
     step = Control(action=Action.STEP)
-    # older changes are no longer told
+    # older changes are no longer in the status
     assert running_law(status("logarithmic", *[step] * 20), FIRST) is None
     assert running_law(status("logarithmic", *[step] * 19), FIRST) == FIRST
 
@@ -66,37 +66,38 @@ def test_a_reset_brings_the_first_law_back() -> None:
     assert running_law(status("logarithmic", *controls), None) is None
 
 
-def test_an_operator_whom_nobody_here_has_put_at_a_wheel_is_a_stranger() -> None:
-    said: list[Control] = []
-    wheel = SharedTeleoperation(
-        lambda control: said.append(control) is None, lambda _name, _drive: True
+def test_driver_not_assigned_by_this_page_is_another_operator() -> None:
+    controls: list[Control] = []
+    teleoperation = SharedTeleoperation(
+        lambda control: controls.append(control) is None, lambda _name, _drive: True
     )
-    wheel.update(a_status(drivers={"ugv_0": "waypoints", "ugv_1": TELEOP}))
-    assert wheel.other_operators() == ["ugv_1"]
-    assert wheel.take_control(1, "browser 1", "ugv_0")
-    operators = {"ugv_0": said[-1].operator}
+    teleoperation.update(a_status(drivers={"ugv_0": "waypoints", "ugv_1": TELEOP}))
+    assert teleoperation.other_operators() == ["ugv_1"]
+    assert teleoperation.take_control(1, "browser 1", "ugv_0")
+    operators = {"ugv_0": controls[-1].operator}
     taken = a_status(drivers={"ugv_0": TELEOP, "ugv_1": TELEOP}, operators=operators)
-    wheel.update(taken)
-    assert wheel.other_operators() == ["ugv_1"]
-    wheel.release()
-    assert wheel.other_operators() == ["ugv_1"]
-    wheel.hand_back(1)
-    assert said[-1].driver == "waypoints"
-    # until the simulator has assigned the driver from before
-    assert wheel.other_operators() == ["ugv_0", "ugv_1"]
+    teleoperation.update(taken)
+    assert teleoperation.other_operators() == ["ugv_1"]
+    teleoperation.release()
+    assert teleoperation.other_operators() == ["ugv_1"]
+    teleoperation.hand_back(1)
+    assert controls[-1].driver == "waypoints"
+    # until the simulator has restored the previous driver
+    assert teleoperation.other_operators() == ["ugv_0", "ugv_1"]
 
 
-def test_a_wheel_that_another_operator_has_taken_is_not_handed_back() -> None:
-    said: list[Control] = []
+def test_control_taken_by_another_operator_is_not_handed_back() -> None:
+    controls: list[Control] = []
     driven: list[Teleoperation] = []
-    wheel = SharedTeleoperation(
-        lambda control: said.append(control) is None, lambda _, drive: driven.append(drive) is None
+    teleoperation = SharedTeleoperation(
+        lambda control: controls.append(control) is None,
+        lambda _, drive: driven.append(drive) is None,
     )
-    wheel.update(a_status(drivers={"ugv_0": "waypoints"}))
-    assert wheel.take_control(1, "browser 1", "ugv_0")
-    wheel.update(a_status(drivers={"ugv_0": TELEOP}, operators={"ugv_0": "a_terminal"}))
-    assert not wheel.can_be_handed_back()
-    wheel.hand_back(1)
-    assert [control.driver for control in said] == [TELEOP]
-    wheel.update(a_status(drivers={"ugv_0": TELEOP}, over=True))
-    assert not wheel.take_control(1, "browser 1", "ugv_0")
+    teleoperation.update(a_status(drivers={"ugv_0": "waypoints"}))
+    assert teleoperation.take_control(1, "browser 1", "ugv_0")
+    teleoperation.update(a_status(drivers={"ugv_0": TELEOP}, operators={"ugv_0": "a_terminal"}))
+    assert not teleoperation.can_be_handed_back()
+    teleoperation.hand_back(1)
+    assert [control.driver for control in controls] == [TELEOP]
+    teleoperation.update(a_status(drivers={"ugv_0": TELEOP}, over=True))
+    assert not teleoperation.take_control(1, "browser 1", "ugv_0")

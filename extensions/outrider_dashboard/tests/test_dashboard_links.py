@@ -1,4 +1,4 @@
-"""The radio links in the page: their status, their change, and their charts."""
+"""The page's radio links: status, controls, and charts."""
 
 from pathlib import Path
 
@@ -42,11 +42,11 @@ def link(sent: int = 0, **lost: int) -> LinkStatus:
 
 
 def status(time: float, **links: LinkStatus) -> Status:
-    named = {name.replace("__", "/"): told for name, told in links.items()}
+    named = {name.replace("__", "/"): link_status for name, link_status in links.items()}
     return a_status(time=time, links=named)
 
 
-# Words
+# Descriptions
 
 
 @pytest.mark.parametrize("name", PROFILES)
@@ -56,37 +56,37 @@ def test_a_profile_is_called_by_its_name_whatever_is_planned(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "text"),
     [
         (LinkSettings(delay=0.5, loss=0.2), "delay 0.5 s, loss 20 %"),
         (BURSTS, "jitter 0.1 s, bursts 0.3 s every 4 s"),
-        (LinkSettings(burst_interval=5.0, burst_loss=0.5), "perfect"),  # there are none of 0 s
+        (LinkSettings(burst_interval=5.0, burst_loss=0.5), "perfect"),  # no bursts of 0 s
         (msgspec.structs.replace(PROFILES["wifi-poor"], loss=0.5), "wifi-poor, loss 50 %"),
         (msgspec.structs.replace(PROFILES["wifi-poor"], burst_length=0.0), "wifi-poor, no bursts"),
         (LinkSettings(bandwidth=2.0), "2 messages/s"),
     ],
 )
-def test_settings_are_said_in_a_few_words(settings: LinkSettings, said: str) -> None:
-    assert describe(settings) == said
+def test_settings_are_described_in_a_few_words(settings: LinkSettings, text: str) -> None:
+    assert describe(settings) == text
 
 
-def test_a_status_is_told_with_the_words_for_its_links_and_for_its_changes() -> None:
+def test_status_describes_its_links_and_link_changes() -> None:
     settings = LinkSettings(loss=0.1)
     degraded = msgspec.structs.replace(link(), settings=settings)
     changes = (
         Change(tick=1, control=Control(action=Action.PAUSE)),
         Change(tick=2, control=Control(action=Action.LINK, link=LinkKind.RADIO, settings=settings)),
     )
-    told = msgspec.structs.replace(
+    described = msgspec.structs.replace(
         status(1.0, uav_0__radio=degraded, uav_0__commands=link()), changes=changes
     )
-    assert describe_links(told) == {
+    assert describe_links(described) == {
         "of": {"uav_0/radio": "loss 10 %", "uav_0/commands": "perfect"},
         "changes": ["", "loss 10 %"],
     }
 
 
-# Wishes
+# Controls
 
 
 def test_links_are_chosen_by_kind_and_vehicle() -> None:
@@ -96,31 +96,36 @@ def test_links_are_chosen_by_kind_and_vehicle() -> None:
     assert select_links(NAMES, "radio", "ugv_0") == []
 
 
-def test_a_kind_that_gets_the_same_everywhere_is_one_word_and_what_differs_is_one_each() -> None:
+def test_equal_settings_give_one_control_per_kind_of_link() -> None:
     one, other = LinkSettings(loss=0.1), LinkSettings(loss=0.2)
     everywhere = controls_for(dict.fromkeys(NAMES, one), NAMES)
-    assert [(said.link, said.vehicle) for said in everywhere] == [(kind, None) for kind in LinkKind]
+    assert [(control.link, control.vehicle) for control in everywhere] == [
+        (kind, None) for kind in LinkKind
+    ]
     each = controls_for({"uav_0/commands": one, "ugv_0/commands": other}, NAMES)
-    assert [(said.vehicle, said.settings) for said in each] == [("uav_0", one), ("ugv_0", other)]
+    assert [(control.vehicle, control.settings) for control in each] == [
+        ("uav_0", one),
+        ("ugv_0", other),
+    ]
     (alone,) = controls_for({"ugv_0/commands": one}, NAMES)
     assert (alone.action, alone.link, alone.vehicle) == (Action.LINK, LinkKind.COMMANDS, "ugv_0")
 
 
-def test_a_blackout_is_added_to_what_the_link_does_already_and_old_ones_are_dropped() -> None:
+def test_new_blackout_keeps_settings_and_drops_oldest_blackouts() -> None:
     poor = PROFILES["wifi-poor"]
-    dark = with_blackout(poor, 10.0, 3.0)
-    assert dark == msgspec.structs.replace(poor, blackouts=((10.0, 3.0),))
-    assert with_blackout(dark, 11.0, 5.0).blackouts == ((10.0, 3.0), (11.0, 5.0))
+    added = with_blackout(poor, 10.0, 3.0)
+    assert added == msgspec.structs.replace(poor, blackouts=((10.0, 3.0),))
+    assert with_blackout(added, 11.0, 5.0).blackouts == ((10.0, 3.0), (11.0, 5.0))
     for k in range(3000):
-        dark = with_blackout(dark, 20.0 + 2.0 * k, 1.0)
-    assert len(dark.blackouts) < 100
-    assert dark.blackouts[-1] == (6018.0, 1.0)
+        added = with_blackout(added, 20.0 + 2.0 * k, 1.0)
+    assert len(added.blackouts) < 100
+    assert added.blackouts[-1] == (6018.0, 1.0)
     ahead = LinkSettings(blackouts=((500.0, 9.0),))
     assert with_blackout(ahead, 1.0, 1.0).blackouts == ((500.0, 9.0), (1.0, 1.0))
-    check_link(dark, "link")
+    check_link(added, "link")
 
 
-def test_bursts_that_are_asked_for_come_with_a_time_between_them_that_can_be_flown() -> None:
+def test_requested_burst_length_gets_a_valid_interval() -> None:
     bursts = check_link(with_field(PERFECT, "burst_length", 0.5), "link")
     assert bursts.burst_length == 0.5
     assert bursts.burst_interval > 0.0
@@ -131,69 +136,69 @@ def test_bursts_that_are_asked_for_come_with_a_time_between_them_that_can_be_flo
 # Charts
 
 
-def told(history: ChartData, at: float, age: float | None = 0.05) -> tuple[float | None, ...]:
+def chart_row(history: ChartData, at: float, age: float | None = 0.05) -> tuple[float | None, ...]:
     of_age = {"estimate": (0.0, 0.0), "covariance": (1.0, 0.0, 1.0), "age": age, "rejected": 0}
     report = None if age is None else UavReport(**of_age)
     history.add(a_truth(at, a_vehicle(), a_vehicle(), report=report), 1.0, 0.05)
     return history.newest[-3:]
 
 
-def test_a_row_tells_the_age_the_share_lost_lately_and_a_blackout() -> None:
+def test_chart_row_has_age_recent_loss_and_blackout() -> None:
     history = ChartData()
-    assert told(history, 0.0) == (0.05, None, 0.0)
+    assert chart_row(history, 0.0) == (0.05, None, 0.0)
     history.losses.update(status(0.0, uav_0__detections=link(0), ugv_0__commands=link(0)))
     history.losses.update(status(1.0, uav_0__detections=link(20, loss=5), ugv_0__commands=link(20)))
-    assert told(history, 1.0, 0.2) == (0.2, 0.25, 0.0)
+    assert chart_row(history, 1.0, 0.2) == (0.2, 0.25, 0.0)
     history.losses.update(
         status(2.0, uav_0__detections=link(40, loss=5), ugv_0__commands=link(40, blackout=3))
     )
-    assert told(history, 2.0) == (0.05, 0.0, 1.0)
+    assert chart_row(history, 2.0) == (0.05, 0.0, 1.0)
     history.losses.update(
         status(3.0, uav_0__detections=link(60, loss=5), ugv_0__commands=link(60, blackout=3))
     )
-    assert told(history, 3.0, None) == (None, 0.0, 0.0)
+    assert chart_row(history, 3.0, None) == (None, 0.0, 0.0)
 
 
-def test_a_new_flight_begins_to_count_anew_and_a_status_that_says_nothing_new_changes_nothing():
+def test_new_flight_resets_loss_and_stale_status_changes_nothing():
     history = ChartData()
     for time, sent in ((0.0, 0), (1.0, 100)):
         history.losses.update(status(time, uav_0__detections=link(sent, blackout=sent)))
-    assert told(history, 1.0)[1:] == (1.0, 1.0)
+    assert chart_row(history, 1.0)[1:] == (1.0, 1.0)
     history.losses.update(status(1.5, uav_0__detections=link(100, blackout=100)))
-    assert told(history, 1.5)[1:] == (1.0, 1.0)
+    assert chart_row(history, 1.5)[1:] == (1.0, 1.0)
     history.losses.update(status(0.1, uav_0__detections=link(2)))
-    assert told(history, 2.0)[1:] == (None, 0.0)
+    assert chart_row(history, 2.0)[1:] == (None, 0.0)
 
 
-def test_a_recording_that_is_wound_shows_its_blackout_where_it_was(tmp_path: Path) -> None:
+def test_seeking_a_recording_shows_its_blackout_in_place(tmp_path: Path) -> None:
     changes = ["duration=30.0", "links.detections.blackouts=[[10.0, 5.0]]"]
     recorded(tmp_path / "run.mcap", load_scenario("escort", overrides=changes))
-    tape = RecordedRun(flight_of(tmp_path / "run.mcap"), 1.0)
-    hub = Hub(tape)
+    recorded_run = RecordedRun(flight_of(tmp_path / "run.mcap"), 1.0)
+    hub = Hub(recorded_run)
     hub.update()
-    tape.seek(tape.end)
+    recorded_run.seek(recorded_run.end)
     hub.update()
-    dark = [row[0] for row in hub.history.rows if row[-1]]
-    assert dark
-    assert 9.9 <= min(t for t in dark if t is not None) <= 10.6
-    assert 14.4 <= max(t for t in dark if t is not None) <= 15.6
+    in_blackout = [row[0] for row in hub.history.rows if row[-1]]
+    assert in_blackout
+    assert 9.9 <= min(t for t in in_blackout if t is not None) <= 10.6
+    assert 14.4 <= max(t for t in in_blackout if t is not None) <= 15.6
     ages = {row[0]: row[-3] for row in hub.history.rows}
     assert max(age for age in ages.values() if age is not None) == pytest.approx(5.0, abs=0.2)
 
 
-# The wheel
+# Teleoperation
 
 
-def test_full_deflection_asks_for_the_largest_speed_of_the_vehicle_that_is_driven() -> None:
-    wheel = SharedTeleoperation(lambda _control: True, lambda _name, _drive: True)
+def test_full_deflection_requests_the_driven_vehicles_max_speed() -> None:
+    teleoperation = SharedTeleoperation(lambda _control: True, lambda _name, _drive: True)
     limits = {
         "ugv_0": Limits(max_speed=0.2, max_acceleration=0.1),
         "ugv_1": Limits(max_speed=None, max_acceleration=None),
     }
     geometry = geometry_of(load_scenario("escort"))
-    wheel.update(a_status(geometry=msgspec.structs.replace(geometry, limits=limits)))
-    assert wheel.take_control(1, "browser 1", "ugv_0")
-    assert wheel.full_speed == pytest.approx(0.2)
-    wheel.speed_share = 0.5
-    assert wheel.full_speed == pytest.approx(0.1)
-    assert wheel.max_speed("ugv_1") == wheel.max_speed("unknown") == 1.0
+    teleoperation.update(a_status(geometry=msgspec.structs.replace(geometry, limits=limits)))
+    assert teleoperation.take_control(1, "browser 1", "ugv_0")
+    assert teleoperation.full_speed == pytest.approx(0.2)
+    teleoperation.speed_share = 0.5
+    assert teleoperation.full_speed == pytest.approx(0.1)
+    assert teleoperation.max_speed("ugv_1") == teleoperation.max_speed("unknown") == 1.0

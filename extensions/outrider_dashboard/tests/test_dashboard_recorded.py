@@ -1,4 +1,4 @@
-"""A recording as the page has it: played, paused, and wound."""
+"""A recording in the page: playing, pausing, seeking."""
 
 from pathlib import Path
 
@@ -17,15 +17,15 @@ from sim.scenario.loading import load_scenario
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("tape") / "run.mcap"
+    path = tmp_path_factory.mktemp("recorded") / "run.mcap"
     recorded(path, load_scenario("escort", overrides=["duration=60.0"]))
     return path
 
 
 def staged(path: Path, speed: float = 1.0) -> tuple[Clock, RecordedRun, Hub]:
     clock = Clock()
-    tape = RecordedRun(flight_of(path), speed, clock)
-    return clock, tape, Hub(tape)
+    recorded_run = RecordedRun(flight_of(path), speed, clock)
+    return clock, recorded_run, Hub(recorded_run)
 
 
 def shown(hub: Hub) -> float:
@@ -36,51 +36,51 @@ def shown(hub: Hub) -> float:
 
 
 def test_simulated_time_passes_at_the_speed_until_the_end(path: Path) -> None:
-    clock, tape, hub = staged(path, speed=4.0)
+    clock, recorded_run, hub = staged(path, speed=4.0)
     assert shown(hub) == 0.0
     clock.now += 2.0
     assert shown(hub) == pytest.approx(8.0)
-    tape.speed = 0.5
+    recorded_run.speed = 0.5
     clock.now += 2.0
     assert shown(hub) == pytest.approx(9.0)
     clock.now += 1000.0
     assert shown(hub) == pytest.approx(60.0)
-    assert not tape.playing
-    assert tape.state.line == "End of the recording."
+    assert not recorded_run.playing
+    assert recorded_run.state.line == "End of the recording."
     assert hub.status is not None
     assert hub.status.over
 
 
-def test_a_paused_tape_stands_still_and_steps_by_ticks(path: Path) -> None:
-    clock, tape, hub = staged(path)
+def test_paused_replay_stands_still_and_steps_by_ticks(path: Path) -> None:
+    clock, recorded_run, hub = staged(path)
     shown(hub)
-    tape.pause()
+    recorded_run.pause()
     clock.now += 5.0
     assert shown(hub) == 0.0
     assert hub.status is not None
     assert hub.status.paused
-    tape.step(7)
+    recorded_run.step(7)
     assert shown(hub) == pytest.approx(0.35)
-    tape.play()
+    recorded_run.play()
     shown(hub)
     clock.now += 1.0
     assert shown(hub) == pytest.approx(1.35)
 
 
-def test_wound_to_a_time_the_page_shows_what_it_would_have_shown_then(path: Path) -> None:
+def test_seeking_shows_the_same_as_playing_to_that_time(path: Path) -> None:
     clock, _, hub = staged(path)
     shown(hub)
     clock.now += 20.0
     shown(hub)
-    played, status = hub.history.rows, hub.status
-    _, tape, other = staged(path)
+    played_rows, status = hub.history.rows, hub.status
+    _, recorded_run, other = staged(path)
     shown(other)
-    tape.pause()
-    tape.seek(55.0)
+    recorded_run.pause()
+    recorded_run.seek(55.0)
     assert shown(other) == pytest.approx(55.0)
-    tape.seek(20.0)
+    recorded_run.seek(20.0)
     assert shown(other) == pytest.approx(20.0)
-    assert other.history.rows == played
+    assert other.history.rows == played_rows
     assert status is not None
     assert other.status is not None
     assert (other.status.tick, other.status.law, other.status.geometry) == (
@@ -92,40 +92,40 @@ def test_wound_to_a_time_the_page_shows_what_it_would_have_shown_then(path: Path
 
 
 def test_play_at_the_end_begins_again(path: Path) -> None:
-    clock, tape, hub = staged(path)
-    tape.seek(1e9)
+    clock, recorded_run, hub = staged(path)
+    recorded_run.seek(1e9)
     assert shown(hub) == pytest.approx(60.0)
-    tape.play()
+    recorded_run.play()
     assert shown(hub) == 0.0
     clock.now += 1.0
     assert shown(hub) == pytest.approx(1.0)
 
 
-def test_the_map_is_the_newest_that_was_there_by_then(path: Path) -> None:
-    _, tape, _ = staged(path)
-    tape.seek(30.52)
-    news = list(tape.news())
+def test_map_is_the_newest_at_the_replay_time(path: Path) -> None:
+    _, recorded_run, _ = staged(path)
+    recorded_run.seek(30.52)
+    news = list(recorded_run.news())
     assert isinstance(news[0], Status)
     (ground,) = (message for message in news if isinstance(message, CoverageMap))
     truth = [message for message in news if isinstance(message, Truth)][-1]
     assert truth.tick - 20 <= ground.tick <= truth.tick
 
 
-def test_nobody_steers_a_recording(path: Path) -> None:
-    _, tape, hub = staged(path)
+def test_recording_cannot_be_steered(path: Path) -> None:
+    _, recorded_run, hub = staged(path)
     shown(hub)
-    assert not tape.control(Control(action=Action.PAUSE))
-    assert not tape.drive("ugv_0", Teleoperation(operator="me"))
+    assert not recorded_run.control(Control(action=Action.PAUSE))
+    assert not recorded_run.drive("ugv_0", Teleoperation(operator="me"))
     assert not hub.teleoperation.take_control(1, "me", "ugv_0")
 
 
 def test_a_recording_that_was_cut_off_says_so_at_its_end(path: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    _, tape, hub = staged(cut)
-    tape.seek(1e9)
+    _, recorded_run, hub = staged(cut)
+    recorded_run.seek(1e9)
     assert 0.0 < shown(hub) < 60.0
-    assert "incomplete" in tape.state.line
+    assert "incomplete" in recorded_run.state.line
 
 
 def test_a_recording_without_a_status_is_shown_all_the_same(path, monkeypatch) -> None:
@@ -139,11 +139,11 @@ def test_a_recording_without_a_status_is_shown_all_the_same(path, monkeypatch) -
     assert hub.status.law == "certified"
 
 
-def test_the_end_of_a_flight_is_told_once_all_browsers_have_been_given_it(path: Path) -> None:
-    told: list[float] = []
+def test_end_is_reported_once_after_all_browsers_received_it(path: Path) -> None:
+    reports: list[float] = []
     clock = Clock()
-    tape = RecordedRun(flight_of(path), 1.0, clock)
-    hub = Hub(tape, on_end=lambda: told.append(clock.now))
+    recorded_run = RecordedRun(flight_of(path), 1.0, clock)
+    hub = Hub(recorded_run, on_end=lambda: reports.append(clock.now))
     first, slow = hub.add_browser(""), hub.add_browser("")
     for seconds, ends in ((30.0, 0), (1000.0, 1)):
         clock.now += seconds
@@ -151,8 +151,8 @@ def test_the_end_of_a_flight_is_told_once_all_browsers_have_been_given_it(path: 
         hub._report_end()
         hub.frame(first)
         hub._report_end()
-        assert len(told) == 0
+        assert len(reports) == 0
         hub.frame(slow)
         for _ in range(2):
             hub._report_end()
-            assert len(told) == ends
+            assert len(reports) == ends

@@ -1,4 +1,4 @@
-"""The page of a run and of a recording: real processes, and what a browser gets from them."""
+"""The page of a run and of a recording: real processes, and the messages to a browser."""
 
 import contextlib
 import json
@@ -31,7 +31,7 @@ Frame = dict[str, Any]
 
 @dataclass(frozen=True)
 class Page:
-    """A page that one browser has opened."""
+    """A page opened by one browser."""
 
     port: int
     cookie: str
@@ -48,7 +48,7 @@ class Page:
 
 
 def page_of(process: "subprocess.Popen[str]") -> Page:
-    """The page where the process says it is."""
+    """Return the page at the address that a process prints."""
     assert process.stderr is not None
     seen = []
     for line in process.stderr:
@@ -57,7 +57,7 @@ def page_of(process: "subprocess.Popen[str]") -> Page:
             answer = httpx2.get(found.group(0), trust_env=False, timeout=20.0)
             assert answer.status_code == 303
             return Page(int(found.group(1)), answer.headers["Set-Cookie"].partition(";")[0])
-    raise AssertionError(f"never said: {seen}")
+    raise AssertionError(f"no address in: {seen}")
 
 
 def browser(page: Page) -> ClientConnection:
@@ -72,7 +72,7 @@ def next_frame(channel: ClientConnection) -> Frame:
 
 
 def frames(channel: ClientConnection) -> Iterator[Frame]:
-    """All that come until the page is no longer served."""
+    """Yield all frames until the page is no longer served."""
     with contextlib.suppress(ConnectionClosed):
         while True:
             yield next_frame(channel)
@@ -89,9 +89,9 @@ def serves(page: Page) -> bool:
         return probe.connect_ex(("127.0.0.1", page.port)) == 0
 
 
-def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
-    told = words("run --with dashboard:port=0 --realtime 40 --duration 60 --no-files --json")
-    with started(*told) as run:
+def test_page_opens_with_the_run_shows_all_and_ends_with_it() -> None:
+    arguments = words("run --with dashboard:port=0 --realtime 40 --duration 60 --no-files --json")
+    with started(*arguments) as run:
         page = page_of(run)
         assert "Outrider" in page.text()
         rows: list[list[float]] = []
@@ -102,7 +102,7 @@ def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
                 statuses += [frame["status"]] if "status" in frame else []
         out, err = run.communicate(timeout=60)
         assert run.returncode == 0, err
-    # it was there before the first tick, and looks every 0.1 s, in which 4 s are flown
+    # The page opened before the first tick and samples every 0.1 s, in which 4 s are simulated.
     assert rows[0][0] < 8.0
     assert rows[-1][0] >= 59.0
     assert statuses[-1]["over"] is True
@@ -113,7 +113,7 @@ def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
     assert not serves(page)
 
 
-def test_a_run_with_a_page_keeps_the_wall_clock_unless_told_otherwise_and_ctrl_c_ends_all() -> None:
+def test_run_with_page_is_real_time_and_ctrl_c_ends_all() -> None:
     with started("run", "--with", "dashboard:port=0", "--no-files", "--json") as run:
         page = page_of(run)
         with browser(page) as channel:
@@ -132,9 +132,9 @@ def test_a_run_with_a_page_keeps_the_wall_clock_unless_told_otherwise_and_ctrl_c
     assert not serves(page)
 
 
-def test_a_page_that_dies_is_told_once_and_the_run_goes_on_in_lockstep_to_its_end() -> None:
-    told = words("run --with dashboard:port=0 --realtime 0 --duration 250 --no-files --json")
-    with started(*told) as run:
+def test_dead_page_is_reported_once_and_the_run_continues() -> None:
+    arguments = words("run --with dashboard:port=0 --realtime 0 --duration 250 --no-files --json")
+    with started(*arguments) as run:
         page = page_of(run)
         with browser(page) as channel:
             await_truth(channel, 1)
@@ -159,7 +159,7 @@ def test_the_page_ends_when_its_run_is_killed() -> None:
     assert not serves(page)
 
 
-def test_a_busy_port_is_refused_before_anything_flies(tmp_path: Path) -> None:
+def test_busy_port_is_refused_before_the_run_starts(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         run = outrider("run", "--with", f"dashboard:port={port}", "--out", str(tmp_path / "flight"))
@@ -177,9 +177,9 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_recording_is_played_into_the_page_and_nobody_can_steer(recording: Path) -> None:
-    told = words("--with dashboard:port=0 --realtime 10")
-    with started("replay", str(recording), *told) as replay:
+def test_page_replays_a_recording_without_controls(recording: Path) -> None:
+    arguments = words("--with dashboard:port=0 --realtime 10")
+    with started("replay", str(recording), *arguments) as replay:
         page = page_of(replay)
         assert "this is a recording" in page.text()
         assert httpx2.get(f"http://127.0.0.1:{page.port}/", trust_env=False).status_code == 401
@@ -188,9 +188,9 @@ def test_a_recording_is_played_into_the_page_and_nobody_can_steer(recording: Pat
         with browser(page) as channel:
             hello = json.loads(channel.recv(20.0))
             assert hello["steer"] is False
-            told = msgspec.convert(hello["metrics"], dict[str, list[Metric]])
-            assert told["now"] == [*NOW.values()]
-            assert told["mission"] == [*MISSION.values()]
+            metrics = msgspec.convert(hello["metrics"], dict[str, list[Metric]])
+            assert metrics["now"] == [*NOW.values()]
+            assert metrics["mission"] == [*MISSION.values()]
             channel.send('{"kind":"take","vehicle":"ugv_0"}')
             maps = 0
             for frame in frames(channel):

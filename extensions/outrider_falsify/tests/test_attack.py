@@ -1,6 +1,6 @@
 """The attack on the certificate.
 
-It finds nothing where the theorem holds, and what is known to be wrong does not survive it.
+It finds nothing where the theorem holds, and it breaks every configuration known to be wrong.
 """
 
 import math
@@ -55,7 +55,7 @@ CONDITIONS = {
     "commands that come early": (Conditions(delay=0.5, jitter=True), 0.3),
     "bare accelerations": (Conditions(bare=True), 0.3),
 }
-"""Within the assumptions: conditions, and eps [m]."""
+"""Conditions within the assumptions, and eps [m]."""
 
 
 RUNS, DURATION = 60, 100.0
@@ -66,14 +66,14 @@ def flown(conditions: Conditions, eps: float, **numbers: float) -> RecordArray:
 
 
 @pytest.mark.parametrize("name", CONDITIONS)
-def test_where_the_assumptions_hold_nobody_is_lost_and_the_certificate_is_approached(name) -> None:
-    """One that nobody comes near would be worth little."""
+def test_valid_assumptions_keep_sight_close_to_the_bound(name) -> None:
+    """Distances close to the bound show that the attack is strong."""
     conditions, eps = CONDITIONS[name]
     bounds = declared(conditions, eps)
     assert not math.isnan(bounds.handover_radius)
     rows = flown(conditions, eps)
     assert 0.98 * R_V < rows["max_distance"].max() < R_V
-    assert rows["max_certified"].max() < R_V  # between ticks too
+    assert rows["max_certified"].max() < R_V  # also between ticks
     assert rows["max_excess"].max() <= 1e-9
     assert not any(rows[name].any() for name in ("uncertified", "certified_lost", "broken"))
     assert rows["max_age"].max() <= bounds.max_measurement_age + 1e-9
@@ -93,7 +93,7 @@ LOST = {
 
 
 @pytest.mark.parametrize("name", LOST)
-def test_what_is_wrong_loses_sight(name: str) -> None:
+def test_wrong_parameters_lose_sight(name: str) -> None:
     conditions, eps = LOST[name]
     if conditions.law != GUARDS.paper:
         conditions = conditions._replace(radius=spec_radius(declared(conditions, eps)))
@@ -110,13 +110,15 @@ def test_the_radius_needs_its_term_for_late_commands() -> None:
     assert largest[0] < R_V < R_V + 0.5 < largest[1]
 
 
-def test_errors_larger_than_declared_break_the_bound_and_are_noticed() -> None:
+def test_undeclared_errors_break_the_bound_and_are_detected() -> None:
     conditions = Conditions(error=ERRORS.hides, error_share=2.0)
     assert flown(conditions, 0.3)["max_excess"].max() > 0.25
     conditions = Conditions(error=SPHERE, error_share=2.0)
     found = flown(conditions, 0.3)
     assert found["uncertified"].min() > 0.9
-    assert found["broken"].max() == 0.0  # what the errors contradict is no broken certificate
+    assert (
+        found["broken"].max() == 0.0
+    )  # measurements that contradict the errors break no certificate
 
 
 DISTURBED = {
@@ -136,7 +138,7 @@ DISTURBED = {
 
 
 @pytest.mark.parametrize("name", DISTURBED)
-def test_no_tick_is_certified_while_sight_is_lost_whatever_becomes_of_commands(name: str) -> None:
+def test_attack_on_commands_certifies_no_lost_tick(name: str) -> None:
     rows = flown(DISTURBED[name], 0.3)
     assert not any(rows[name].any() for name in ("certified_lost", "broken"))
     assert rows["max_certified"].max() < R_V
@@ -144,21 +146,21 @@ def test_no_tick_is_certified_while_sight_is_lost_whatever_becomes_of_commands(n
     assert rows["uncertified"].min() < 1.0
 
 
-def test_motions_that_arrive_too_late_lose_sight() -> None:
+def test_trajectories_arriving_too_late_lose_sight() -> None:
     rows = flown(Conditions(disturbance=DISTURBANCES.late), 0.3)
     assert rows["max_distance"].max() > R_V
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0])
-def test_a_uav_that_starts_moving_keeps_its_certificate_once_it_has_one(delay: float) -> None:
+def test_uav_starting_in_motion_keeps_its_certificate(delay: float) -> None:
     rows = flown(Conditions(start_speed=1.0, delay=delay), 0.3)
     assert not any(rows[name].any() for name in ("certified_lost", "broken"))
     assert rows["max_certified"].max() < R_V
     assert rows["uncertified"].max() < 3.0 * (delay + 0.05) / DURATION
 
 
-def test_a_filter_that_certifies_what_it_should_not_is_caught() -> None:
-    """The counters count: a filter that believes in too large a radius."""
+def test_attack_catches_a_filter_with_too_large_a_radius() -> None:
+    """Check the counters with a safety filter whose radius is too large."""
     bounds = declared(Conditions(), 0.0)
     assert flown_with(bounds._replace(radius=4.9, handover_radius=4.85))["certified_lost"].sum() > 0
     assert flown_with(bounds._replace(handover_radius=4.74))["broken"].sum() > 0
@@ -180,7 +182,7 @@ def test_the_largest_distance_within_a_tick_is_exact(seed: int) -> None:
 
 
 def test_residual_velocities_at_a_wall_break_no_certificate() -> None:
-    """Starts within nanometres of a wall, where a contact takes velocity from a plan.
+    """Start within nanometres of a wall, where a contact removes velocity from a plan.
 
     Only the first tick of a UAV that starts on the wall and moves into it may be uncertified.
     """
@@ -203,7 +205,7 @@ def test_any_run_can_be_flown_again_alone() -> None:
     assert attack(bounds, conditions, 8, 3, 1, 30.0)[0] != rows[3]
 
 
-def test_the_grid_holds_only_what_has_a_certificate_and_every_place_and_disturbance() -> None:
+def test_grid_is_certifiable_and_has_every_area_and_disturbance() -> None:
     combinations = list(grid())
     assert not any(math.isnan(bounds.handover_radius) for bounds, _ in combinations)
     assert {conditions.area for _, conditions in combinations} == set(AREAS)

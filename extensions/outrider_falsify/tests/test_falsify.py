@@ -1,6 +1,6 @@
 """The search for violations.
 
-What is known to be wrong is found, what is known to hold stands, and each find flies again.
+It finds what is known to be wrong, breaks nothing that is known to hold, and each find can be flown again.
 """
 
 import json
@@ -67,10 +67,10 @@ def candidates(count: int) -> list[Candidate]:
     ]
 
 
-# What is found, and what is not
+# Finds, and their absence
 
 
-def test_the_switching_law_is_broken_undegraded_and_the_find_flies_again_to_the_last_bit(tmp_path):
+def test_switching_law_fails_undegraded_and_refly_is_identical(tmp_path):
     path = tmp_path / "broken.toml"
     result = found("switching", 3, out=path, changes={"duration": 60.0})
     assert result.violations
@@ -83,13 +83,13 @@ def test_the_switching_law_is_broken_undegraded_and_the_find_flies_again_to_the_
 
 
 @pytest.mark.parametrize("law", ["logarithmic", "linear"])
-def test_the_laws_that_keep_it_undegraded_are_not_broken(law: str) -> None:
+def test_laws_that_keep_sight_undegraded_are_not_broken(law: str) -> None:
     result = found(law, 12)
     assert result.violations == result.lost == 0
     assert 2.0 < result.worst < R_V
 
 
-def test_the_logarithmic_law_is_broken_by_blackouts_and_by_late_commands() -> None:
+def test_blackouts_and_late_commands_break_the_logarithmic_law() -> None:
     for limits in (SearchLimits(blackout=5.0), SearchLimits(command_delay=1.0)):
         assert found("logarithmic", 16, limits).worst > R_V + 0.05
 
@@ -109,23 +109,23 @@ BROKEN = {
     "max_measurement_error": (SearchLimits(noise=0.3), {"certificate.max_measurement_error": 0.05}),
     "max_command_delay": (SearchLimits(command_delay=1.0), {"certificate.max_command_delay": 0.0}),
 }
-"""Limits that go beyond what is declared."""
+"""Limits beyond the declared bounds."""
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_a_broken_assumption_is_told_and_is_no_violation(name: str) -> None:
+def test_broken_assumption_is_reported_and_is_no_violation(name: str) -> None:
     limits, declared = BROKEN[name]
-    told = beyond_declared(base("certified", limits, **declared), limits)
-    assert len(told) == 1
-    assert f"certificate.{name}" in told[0]
+    warnings = beyond_declared(base("certified", limits, **declared), limits)
+    assert len(warnings) == 1
+    assert f"certificate.{name}" in warnings[0]
     result = found("certified", 6, limits, changes=declared)
     assert result.flights.uncertified > 0
     assert result.violations == 0
 
 
-def test_a_promise_counts_from_the_first_certified_tick_and_again_some_time_after_a_gap() -> None:
-    word = np.array([False, True, True, False, True, True, True, True], dtype=np.bool_)
-    assert guaranteed(word, 2).tolist() == [
+def test_guarantee_starts_certified_and_resumes_after_a_gap() -> None:
+    certified = np.array([False, True, True, False, True, True, True, True], dtype=np.bool_)
+    assert guaranteed(certified, 2).tolist() == [
         False,
         False,
         True,
@@ -139,19 +139,19 @@ def test_a_promise_counts_from_the_first_certified_tick_and_again_some_time_afte
     assert not guaranteed(np.zeros(3, dtype=np.bool_), 0).any()
 
 
-def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a_gap(monkeypatch):
-    """The UAV flies off, and claims now and then, too short for a guarantee, that sight is kept."""
+def test_certified_tick_out_of_sight_after_a_gap_is_a_violation(monkeypatch):
+    """Fly away while single ticks, too few for a guarantee, are certified."""
 
     def fly_off(scenario, seed, *, on_tick):
         flight, pilots = Flight(scenario, seed), make_pilots(scenario, seed)
 
         def act(seen: UavObservation) -> UavCommand:
-            said = pilots["uav_0"].act(seen)
+            command = pilots["uav_0"].act(seen)
             reason = None if seen.tick % 10 == 9 else NotCertified.NO_PLAN
-            decision = msgspec.structs.replace(said.report.decision, reason=reason)
-            report = msgspec.structs.replace(said.report, decision=decision)
+            decision = msgspec.structs.replace(command.report.decision, reason=reason)
+            report = msgspec.structs.replace(command.report, decision=decision)
             return msgspec.structs.replace(
-                said, acceleration=(0.3, 0.3), backup_trajectories=(), report=report
+                command, acceleration=(0.3, 0.3), backup_trajectories=(), report=report
             )
 
         flight.fly(Piloted(pilots, "uav_0", act), on_tick=lambda: on_tick(flight))
@@ -160,8 +160,8 @@ def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a
     monkeypatch.setattr(flying, "fly", fly_off)
     candidate = next(one for one in candidates(8) if one.kind != "adversary")
     _, flight, result = flown(candidate, base("certified"), UNDEGRADED)
-    away = distances(flight) >= R_V
-    lies = int(away[9:-1:10].sum() + away[-1])  # the last claim is held against the last state, too
+    lost = distances(flight) >= R_V
+    lies = int(lost[9:-1:10].sum() + lost[-1])  # also at the last state
     assert result.certified_while_lost == lies > 5
     assert result.violated
     assert result.score >= R_V
@@ -169,9 +169,9 @@ def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a
     tally.take(candidate, result)
     tally.take(candidate, result)
     wanted = SearchRequest(base=base("certified"), limits=UNDEGRADED, flies=True, attacks=False)
-    told = SearchResult(wanted, flights=tally).as_plain()["flights"]
-    assert (told["violations"], told["certified_while_lost"]) == (2, 2 * lies)
-    assert told["certificate_broken"] == 2 * result.certificate_broken
+    counts = SearchResult(wanted, flights=tally).as_plain()["flights"]
+    assert (counts["violations"], counts["certified_while_lost"]) == (2, 2 * lies)
+    assert counts["certificate_broken"] == 2 * result.certificate_broken
 
 
 # Candidates
@@ -182,15 +182,15 @@ def test_every_candidate_can_be_flown_and_is_within_the_limits(law: str) -> None
     start = base(law, DEGRADED)
     for candidate in candidates(60):
         scenario = check_scenario(decode(candidate, start, DEGRADED))
-        uav, ugv, looks = scenario.uav[0], scenario.ugv[0], scenario.links.detections
+        uav, ugv, link = scenario.uav[0], scenario.ugv[0], scenario.links.detections
         assert math.hypot(*uav.velocity) <= uav.max_speed
         assert math.hypot(*ugv.velocity) <= ugv.max_speed
         assert all(math.hypot(*step.velocity) <= ugv.max_speed for step in ugv.script)
         outward = (math.hypot(*uav.velocity) + ugv.max_speed) ** 2 / (2.0 * uav.max_acceleration)
         assert math.dist(uav.position, ugv.position) + outward <= R_S + 0.01
-        assert looks.delay + looks.jitter <= DEGRADED.delay + 1e-9
-        assert looks.loss <= DEGRADED.loss
-        assert all(length <= DEGRADED.blackout for _, length in looks.blackouts)
+        assert link.delay + link.jitter <= DEGRADED.delay + 1e-9
+        assert link.loss <= DEGRADED.loss
+        assert all(length <= DEGRADED.blackout for _, length in link.blackouts)
         assert scenario.detections.noise <= DEGRADED.noise
         assert scenario.links.of("uav_0", LinkKind.COMMANDS).delay <= DEGRADED.command_delay
         assert scenario.links.of("ugv_0", LinkKind.COMMANDS).delay == 0.0
@@ -216,7 +216,7 @@ def test_a_candidate_flies_again_from_its_saved_scenario(kind: str, tmp_path: Pa
     assert fly(load_scenario(path), candidate.seed)[0].recorder.sha256() == flight.recorder.sha256()
 
 
-def test_what_the_limits_need_is_declared_and_what_is_declared_is_kept() -> None:
+def test_base_declares_needed_bounds_and_keeps_declared_ones() -> None:
     start = base("certified", DEGRADED)
     assert start.certificate.max_measurement_age == needed_age(DEGRADED, start) > 6.0
     assert start.certificate.max_measurement_error == pytest.approx(0.3)
@@ -229,7 +229,7 @@ def test_what_the_limits_need_is_declared_and_what_is_declared_is_kept() -> None
     )
 
 
-def test_hold_is_raised_where_commands_may_come_later() -> None:
+def test_command_timeout_is_raised_for_late_commands() -> None:
     late = SearchLimits(command_delay=1.01)
     start = base("linear", late)
     assert start.command_timeout == pytest.approx(1.05)
@@ -251,7 +251,7 @@ def test_the_search_is_the_same_for_any_number_of_workers() -> None:
     assert other.flights.elite != one.flights.elite
 
 
-def test_cma_goes_on_from_the_best_and_leaves_numpys_own_random_numbers_alone() -> None:
+def test_cma_continues_from_the_best_and_keeps_numpys_rng_state() -> None:
     np.random.seed(5)  # noqa: NPY002
     expected = np.random.RandomState(5).random(3)
     result = found("linear", 100, changes={"duration": 6.0})
@@ -260,7 +260,7 @@ def test_cma_goes_on_from_the_best_and_leaves_numpys_own_random_numbers_alone() 
         flown(one, base("linear", duration=6.0), SearchLimits())[2].score for one in candidates(0)
     )
     assert result.worst > first
-    # two batches are chance's
+    # the first two batches are random
     assert all(candidate.number >= 64 for candidate, _ in result.flights.elite)
 
 
@@ -269,12 +269,12 @@ def test_the_budget_is_kept() -> None:
     began = time.monotonic()
     result = found(
         "linear", None, minutes=0.1
-    )  # within which the workers start on a busy machine, too
+    )  # the workers also need time to start on a busy machine
     assert 5.0 < time.monotonic() - began < 40.0
     assert result.runs > 0
 
 
-def test_a_worker_that_dies_is_told_in_one_line() -> None:
+def test_dead_worker_is_reported_in_one_line() -> None:
     with Workers(2, int) as workers, pytest.raises(PeerLost, match="a worker process died"):
         list(workers.stream(os._exit, [(3,)], lambda: False))
 
@@ -300,7 +300,7 @@ def test_the_attack_finds_nothing_within_the_assumptions() -> None:
 
 
 @pytest.mark.parametrize("control", ["tracking", "paper-radius", "switching"])
-def test_a_guard_that_is_wrong_is_caught_and_its_run_flies_again(control: str) -> None:
+def test_wrong_safety_filter_is_caught_and_its_run_reflies(control: str) -> None:
     tally = attacked(control, 100, first=True, duration=120.0)
     assert tally.violations
     assert tally.worst is not None
@@ -319,7 +319,7 @@ def test_the_best_detection_is_caught_where_there_are_blackouts() -> None:
     ).violations
 
 
-def test_a_combination_with_uncertified_ticks_has_lost_nothing_that_was_promised() -> None:
+def test_combination_with_uncertified_ticks_has_no_violation() -> None:
     conditions = Conditions(blackout=1, blackout_time=12.0)
     bounds = declared(conditions._replace(blackout_time=2.0), 0.3)
     result = attacks.fly_attack(bounds, conditions, 1, 0, 20, 100.0)
@@ -330,27 +330,27 @@ def test_a_combination_with_uncertified_ticks_has_lost_nothing_that_was_promised
 # The command line
 
 
-def test_the_command_saves_and_tells_and_its_exit_code_says_what_was_expected(here, command):
+def test_command_saves_the_find_and_reports_it_by_exit_code(here, command):
     quick = words("--limit none --duration 25 --jobs 1 --runs 3 --json --expect none")
     run = command("falsify", "--law", "switching", *quick)
     assert run.returncode == 1
-    told = json.loads(run.stdout)
-    assert set(words("law runs violations worst_distance scenario seconds seed")) <= set(told)
-    found = (told["law"], told["runs"], told["scenario"])
+    output = json.loads(run.stdout)
+    assert set(words("law runs violations worst_distance scenario seconds seed")) <= set(output)
+    found = (output["law"], output["runs"], output["scenario"])
     assert found == ("switching", 3, "counterexample-switching.toml")
     assert "--expect none" in run.stderr
-    again = command("run", told["scenario"], "--in-process", "--no-files", "--json")
+    again = command("run", output["scenario"], "--in-process", "--no-files", "--json")
     flown_again = json.loads(again.stdout)
-    assert flown_again["max_distance"] == told["worst_distance"]
-    assert flown_again["trajectory_sha256"] == told["trajectory_sha256"]
+    assert flown_again["max_distance"] == output["worst_distance"]
+    assert flown_again["trajectory_sha256"] == output["trajectory_sha256"]
 
 
 def test_nothing_found_is_no_file_and_exit_code_0(here, command):
     quick = words("falsify --law linear --limit none --duration 5 --jobs 1 --runs 2 --json")
     run = command(*quick, "--expect", "none")
     assert run.returncode == 0
-    told = json.loads(run.stdout)
-    assert (told["violations"], told["scenario"]) == (0, None)
+    output = json.loads(run.stdout)
+    assert (output["violations"], output["scenario"]) == (0, None)
     assert command(*quick, "--expect", "some").returncode == 1
     assert not list(here.iterdir())
 
@@ -366,9 +366,9 @@ def test_ctrl_c_keeps_the_best(tmp_path: Path) -> None:
     assert process.returncode == 130
     assert "interrupted after" in err
     assert "Traceback" not in err
-    told = json.loads(out)
-    assert told["violations"] > 0
-    assert (tmp_path / told["scenario"]).exists()
+    output = json.loads(out)
+    assert output["violations"] > 0
+    assert (tmp_path / output["scenario"]).exists()
 
 
 def test_a_search_asks_before_it_loads_code_of_a_file(here, command) -> None:

@@ -1,4 +1,4 @@
-"""Attacks on motions that are lost: nothing is found where A5' holds, and what is known to be wrong is caught."""
+"""Attacks by lost trajectories: no violation where A5' holds, and wrong configurations are caught."""
 
 import math
 
@@ -9,21 +9,24 @@ from outrider_falsify.conditions import DISTURBANCES, Conditions, declared
 from outrider_falsify.lost_trajectories import LOSSES
 
 COMBINATIONS = [
-    (outage, delay, kind) for outage in (1.0, 5.0) for delay in (0.0, 0.3) for kind in LOSSES[1:]
+    (interval, delay, kind)
+    for interval in (1.0, 5.0)
+    for delay in (0.0, 0.3)
+    for kind in LOSSES[1:]
 ]
 
 
-@pytest.mark.parametrize(("outage", "delay", "kind"), COMBINATIONS)
-def test_no_certified_run_loses_sight_whatever_motions_are_lost(outage, delay, kind) -> None:
-    dark = {"blackout": 3, "blackout_time": 4.0, "u_g": math.inf, "jitter": delay > 0.0}
-    conditions = Conditions(max_command_interval=outage, delay=delay, losses=kind, **dark)
+@pytest.mark.parametrize(("interval", "delay", "kind"), COMBINATIONS)
+def test_no_certified_run_loses_sight_by_lost_trajectories(interval, delay, kind) -> None:
+    blackouts = {"blackout": 3, "blackout_time": 4.0, "u_g": math.inf, "jitter": delay > 0.0}
+    conditions = Conditions(max_command_interval=interval, delay=delay, losses=kind, **blackouts)
     rows = attack(declared(conditions, 0.3), conditions, 5, 0, 4, 100.0)
     assert rows["max_distance"].max() < conditions.r_v
     assert rows["certified_lost"].sum() == rows["broken"].sum() == 0
     assert rows["uncertified"].max() == 0.0
 
 
-def test_the_hand_over_knows_where_the_motion_that_is_flown_ends_not_one_that_was_lost() -> None:
+def test_handover_uses_the_flown_trajectory_not_a_lost_one() -> None:
     conditions = Conditions(
         blackout=3,
         blackout_time=5.0,
@@ -37,7 +40,7 @@ def test_the_hand_over_knows_where_the_motion_that_is_flown_ends_not_one_that_wa
     assert not found["broken"].any()
 
 
-def test_longer_outages_than_declared_lose_sight_and_are_told() -> None:
+def test_undeclared_command_gaps_lose_sight_and_are_reported() -> None:
     conditions = Conditions(
         max_command_interval=8.0, inner=0, ugv=0, losses=LOSSES.whenever_it_may, u_g=math.inf
     )
@@ -48,13 +51,13 @@ def test_longer_outages_than_declared_lose_sight_and_are_told() -> None:
     assert rows["certified_lost"].sum() == rows["broken"].sum() == 0
 
 
-def test_motions_that_were_checked_for_less_than_the_outage_are_caught_by_the_attack() -> None:
-    """The numbers of a short outage with the claim of a long one: what the certificate would be without its wait."""
+def test_attack_catches_trajectories_checked_for_too_short_a_gap() -> None:
+    """Declare a long command interval with the radii of a short one, that is, without the waiting time."""
     conditions = Conditions(
         max_command_interval=8.0, losses=LOSSES.whenever_it_may, inner=0, ugv=0, u_g=math.inf
     )
     short = declared(conditions._replace(max_command_interval=0.05), 0.3)
-    wait = 7.95 * short.v_g  # which the checks take off again
+    wait = 7.95 * short.v_g  # which the checks subtract again
     wrong = short._replace(
         handover_radius=short.handover_radius + wait,
         handover_bound=short.handover_bound + wait,
@@ -65,8 +68,8 @@ def test_motions_that_were_checked_for_less_than_the_outage_are_caught_by_the_at
     assert rows["broken"].sum() > 0
 
 
-def test_outages_that_are_yet_to_come_break_no_certificate() -> None:
-    """The adversary drops a plan when the committed one is so old that the next chain arrives too late."""
+def test_command_gaps_yet_to_come_break_no_certificate() -> None:
+    """Drop a plan when the committed one is so old that the next chain arrives too late."""
     conditions = Conditions(
         max_command_interval=0.65,
         delay=0.5,

@@ -1,4 +1,4 @@
-"""Attacks with wind and a wrong own position: nothing is found within w, and a w that is too small is caught."""
+"""Attacks with wind and position errors: no violation within w, and too small a w is caught."""
 
 import math
 
@@ -17,7 +17,7 @@ PUSHED = [
 
 
 @pytest.mark.parametrize("conditions", [conditions for conditions, _ in PUSHED])
-def test_no_certified_run_loses_sight_whatever_wind_and_own_position_do(conditions) -> None:
+def test_no_certified_run_loses_sight_by_wind_or_position_error(conditions) -> None:
     found = attack(declared(conditions, 0.3), conditions, 1, 0, 40, 60.0)
     assert not found["certified_lost"].any()
     assert not found["broken"].any()
@@ -26,7 +26,7 @@ def test_no_certified_run_loses_sight_whatever_wind_and_own_position_do(conditio
 
 
 @pytest.mark.parametrize(("conditions", "less"), PUSHED)
-def test_a_w_that_is_declared_too_small_is_caught_by_the_attack(conditions, less) -> None:
+def test_attack_catches_too_small_a_declared_tracking_error(conditions, less) -> None:
     bounds = declared(conditions._replace(**less), 0.0)
     found = attack(bounds, conditions, 1, 0, 40, 60.0)
     assert found["max_excess"].max() > 0.01

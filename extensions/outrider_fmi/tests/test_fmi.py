@@ -1,4 +1,4 @@
-"""Units of FMI 3.0: what is exported flies the same bits, knows no more and drives; what cannot is told in a line."""
+"""Units of FMI 3.0: exported units fly the same bits and know no more; invalid ones are refused in one line."""
 
 import importlib
 import json
@@ -70,13 +70,13 @@ class Wheel(Fmi3Slave):
 
 @pytest.fixture(scope="module")
 def units(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with an exported UGV and world, and the unit of somebody else."""
+    """Return a folder with exported units and a foreign one."""
     folder = tmp_path_factory.mktemp("units")
     flown = load_scenario("escort", overrides=SHORT)
     assert export_vehicle(flown, Role.UGV, folder / "ugv.fmu") == "ugv_0"
     assert export_vehicle(flown, Role.UAV, folder / "uav.fmu") == "uav_0"
     export_world(flown, folder / "world.fmu")
-    script = folder / "wheel_of_theirs.py"  # Python knows a unit's module by its name
+    script = folder / "wheel_of_theirs.py"  # Python identifies a unit's module by its name
     script.write_text(THEIRS)
     FmuBuilder.build_FMU(script, dest=folder)
     return folder
@@ -84,7 +84,7 @@ def units(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def _path_as_before() -> Iterator[None]:
-    """A unit's library puts its folder on Python's path."""
+    """Restore Python's path, to which a unit's library adds its folder."""
     before = sys.path.copy()
     yield
     sys.path[:] = before
@@ -97,31 +97,33 @@ def every_input(unit: VehicleUnit, value: float) -> dict[str, float]:
     return dict.fromkeys((one.name for one in unit.inputs), value)
 
 
-def states_of(told: Mapping[str, FloatArray], names: tuple[str, ...]) -> FloatArray:
-    """The states that the trajectory's hash is made of, from what the world's unit told; (ticks, vehicles, 6)."""
+def states_of(outputs: Mapping[str, FloatArray], names: tuple[str, ...]) -> FloatArray:
+    """Return the states of the trajectory hash from outputs of the world's unit. Shape (ticks, vehicles, 6)."""
     here = [[f"{n}.{of}.{axis}" for of in ("position", "velocity") for axis in "xy"] for n in names]
     applied = [[f"{n}.acceleration.{axis}" for axis in "xy"] for n in names]
     before, after = (
-        np.stack([np.stack([told[c] for c in columns], axis=-1) for columns in kind], axis=1)
+        np.stack([np.stack([outputs[c] for c in columns], axis=-1) for columns in kind], axis=1)
         for kind in (here, applied)
     )
     return np.concatenate((before[:-1], after[1:]), axis=-1)
 
 
-def test_the_worlds_unit_tells_the_runs_own_bits(units: Path) -> None:
+def test_world_unit_outputs_the_bits_of_the_run(units: Path) -> None:
     flown = load_scenario("escort", overrides=SHORT)
     flight, summary = fly(flown, flown.seed)
-    told = fmpy.simulate_fmu(str(units / "world.fmu"), stop_time=flown.duration, output_interval=DT)
-    assert sha256(states_of(told, flight.world.names)) == summary.trajectory_sha256
+    outputs = fmpy.simulate_fmu(
+        str(units / "world.fmu"), stop_time=flown.duration, output_interval=DT
+    )
+    assert sha256(states_of(outputs, flight.world.names)) == summary.trajectory_sha256
     escorts = flight.recorder.escorts[:, 0]
-    assert (told["uav_0.distance"] == escorts[:, 0]).all()
-    assert (told["uav_0.coverage_error"] == escorts[:, 1]).all()
-    assert (told["uav_0.certified"][1:] == escorts[:-1, 6]).all()
-    assert told["uav_0.certified"].any()
-    assert not told["uav_0.lost"].any()
+    assert (outputs["uav_0.distance"] == escorts[:, 0]).all()
+    assert (outputs["uav_0.coverage_error"] == escorts[:, 1]).all()
+    assert (outputs["uav_0.certified"][1:] == escorts[:-1, 6]).all()
+    assert outputs["uav_0.certified"].any()
+    assert not outputs["uav_0.lost"].any()
 
 
-def test_the_worlds_unit_tells_of_sight_that_is_lost_and_flies_degraded_links() -> None:
+def test_world_unit_reports_lost_sight_over_degraded_links() -> None:
     changes = [
         "duration=30.0",
         "law.name=tracking",
@@ -135,43 +137,45 @@ def test_the_worlds_unit_tells_of_sight_that_is_lost_and_flies_degraded_links() 
     rows = [unit.start(), *(unit.step(tick * DT, DT, {}) for tick in range(flown.ticks))]
     lost = sum(row["uav_0.lost"] for row in rows)
     assert lost == summary.visibility_violations > 0
-    told = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    assert sha256(states_of(told, ("uav_0", "ugv_0"))) == summary.trajectory_sha256
+    outputs = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    assert sha256(states_of(outputs, ("uav_0", "ugv_0"))) == summary.trajectory_sha256
 
 
 def test_an_operator_of_the_worlds_unit_is_one_of_the_run() -> None:
     flown = load_scenario("escort", overrides=["duration=2.0", "ugv.0.driver=teleop"])
-    flight, wish = Flight(flown, 3), (0.0, 0.1)
+    flight, wanted = Flight(flown, 3), (0.0, 0.1)
     exchange = InProcess(make_pilots(flown, 3))
     unit = WorldUnit(flown, 3)
     assert [one.name for one in unit.inputs if not one.unit] == ["ugv_0.operator.new"]
     for tick in range(flown.ticks):
-        flight.teleoperate("ugv_0", Teleoperation(operator="anybody", velocity=wish))
+        flight.teleoperate("ugv_0", Teleoperation(operator="anybody", velocity=wanted))
         flight.fly_tick(exchange)
-        words = {"ugv_0.operator.new": True, "ugv_0.operator.velocity.x": wish[0]}
-        told = unit.step(tick * DT, DT, words | {"ugv_0.operator.velocity.y": wish[1]})
+        values = {"ugv_0.operator.new": True, "ugv_0.operator.velocity.x": wanted[0]}
+        outputs = unit.step(tick * DT, DT, values | {"ugv_0.operator.velocity.y": wanted[1]})
     k = flight.world.names.index("ugv_0")
-    assert (told["ugv_0.velocity.x"], told["ugv_0.velocity.y"]) == tuple(flight.world.velocity[k])
-    assert told["ugv_0.velocity.y"] > 0.05
+    assert (outputs["ugv_0.velocity.x"], outputs["ugv_0.velocity.y"]) == tuple(
+        flight.world.velocity[k]
+    )
+    assert outputs["ugv_0.velocity.y"] > 0.05
 
 
 def test_the_pilots_unit_answers_what_the_runs_pilot_answers() -> None:
     flown = load_scenario("escort", overrides=["duration=10.0", "links.detections.loss=0.2"])
-    told = briefing(flown, "uav_0", 5)
-    unit = VehicleUnit(told)
+    own_briefing = briefing(flown, "uav_0", 5)
+    unit = VehicleUnit(own_briefing)
     certified, radioed = 0, 0
     pilots = make_pilots(flown, 5)
 
     def both(seen: UavObservation) -> UavCommand:
         nonlocal certified, radioed
         command = pilots["uav_0"].act(seen)
-        (look,) = seen.detections or (None,)
+        (detection,) = seen.detections or (None,)
         values = every_input(unit, 0.0)
         values |= zip(("position.x", "position.y"), seen.position, strict=True)
         values |= zip(("velocity.x", "velocity.y"), seen.velocity, strict=True)
-        if look is not None:
-            values |= {"detection.new": True, "detection.time": look.time}
-            values |= zip(("detection.x", "detection.y"), look.relative_position, strict=True)
+        if detection is not None:
+            values |= {"detection.new": True, "detection.time": detection.time}
+            values |= zip(("detection.x", "detection.y"), detection.relative_position, strict=True)
         got = unit.step(seen.tick * DT, DT, values)
         assert (got["acceleration.x"], got["acceleration.y"]) == command.acceleration
         report = command.report
@@ -200,13 +204,19 @@ def test_a_unit_has_what_its_vehicle_may_know_and_nothing_else(units: Path) -> N
     }
     for name, inputs in allowed.items():
         described = fmpy.read_model_description(str(units / f"{name}.fmu"), validate=True)
-        told = {one.causality: set() for one in described.modelVariables}
+        names_by_causality: dict[str, set[str]] = {
+            one.causality: set() for one in described.modelVariables
+        }
         for one in described.modelVariables:
-            told[one.causality].add(one.name)
+            names_by_causality[one.causality].add(one.name)
             assert one.description
             assert one.type == "Boolean" or one.unit
-        assert told.get("input", set()) == inputs
-        assert set(told) <= {"input", "output", "independent"}  # nobody tunes a parameter
+        assert names_by_causality.get("input", set()) == inputs
+        assert set(names_by_causality) <= {
+            "input",
+            "output",
+            "independent",
+        }  # no parameters to tune
     flown = load_scenario("escort", overrides=SHORT)
     for role in ("uav", "ugv"):
         with zipfile.ZipFile(units / f"{role}.fmu") as file:
@@ -254,7 +264,7 @@ def test_a_driver_that_hears_the_uav_drives_as_a_unit(tmp_path: Path) -> None:
     assert fly(own, own.seed)[1].trajectory_sha256 == fly(theirs, own.seed)[1].trajectory_sha256
 
 
-def test_somebody_elses_unit_drives_and_its_crash_is_one_line(units: Path) -> None:
+def test_foreign_unit_drives_and_its_crash_is_one_line(units: Path) -> None:
     driver = f"ugv.0.driver=fmu:{units / 'Wheel.fmu'}"
     flown = load_scenario("escort", overrides=[*SHORT, "duration=0.1", driver])
     flight, _ = fly(flown, 0)
@@ -283,7 +293,7 @@ def test_somebody_elses_unit_drives_and_its_crash_is_one_line(units: Path) -> No
     ],
 )
 def test_a_unit_that_cannot_drive_is_refused_in_one_line(units, tmp_path, unit, old, new, line):
-    """One with another description or version, or without some of its files."""
+    """Refuse a unit with another description or version, or with missing files."""
     file = tmp_path / "bad.fmu"
     with zipfile.ZipFile(units / f"{unit}.fmu") as whole, zipfile.ZipFile(file, "w") as changed:
         for name in whole.namelist():
@@ -296,14 +306,14 @@ def test_a_unit_that_cannot_drive_is_refused_in_one_line(units, tmp_path, unit, 
         FmuPolicy(str(file), "here")
 
 
-def test_a_unit_that_is_none_or_not_there_is_told_in_one_line(tmp_path: Path) -> None:
+def test_invalid_or_missing_unit_is_reported_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "text.fmu").write_text("hello")
     for name, line in (("text.fmu", "not an FMU"), ("none.fmu", "no such file"), ("", "no such")):
         with pytest.raises(ScenarioError, match=f"^here: {line}"):
             FmuPolicy(str(tmp_path / name), "here")
 
 
-def test_one_unit_drives_a_run_and_a_files_own_is_not_loaded_unasked(units: Path) -> None:
+def test_one_unit_drives_a_run_and_loads_only_on_request(units: Path) -> None:
     named = f"fmu:{units / 'ugv.fmu'}"
     flown = load_scenario("escort", overrides={"ugv.0.driver": named})
     assert foreign_code(flown) == foreign_code(flown, ["seed=3"]) != ()
@@ -328,7 +338,7 @@ def test_a_step_that_is_no_tick_is_refused(time: float, size: float, line: str) 
         unit.step(time, size, {})
 
 
-def test_no_unit_steps_beyond_its_flight_or_takes_a_number_that_is_none() -> None:
+def test_unit_refuses_steps_after_the_end_and_invalid_numbers() -> None:
     unit = WorldUnit(load_scenario("escort", overrides=["duration=0.1"]), 0)
     for tick in range(2):
         unit.step(tick * DT, DT, {})
@@ -371,7 +381,7 @@ HAZARD = 'hazard=[{kind="block",center=[30,30],radius=0.2}]'
         ("uav", ["name=elsewhere", "uav=[]"], "elsewhere: has no uav to export"),
     ],
 )
-def test_what_a_unit_cannot_be_is_refused_before_it_is_made(tmp_path, what, changes, line):
+def test_impossible_unit_is_refused_before_it_is_built(tmp_path, what, changes, line):
     flown: Scenario = load_scenario("escort", overrides=changes)
     export = export_world if what == "world" else partial(export_vehicle, role=Role(what))
     with pytest.raises(ScenarioError, match=f"^{line}"):
@@ -380,8 +390,8 @@ def test_what_a_unit_cannot_be_is_refused_before_it_is_made(tmp_path, what, chan
 
 
 def test_the_law_of_a_pilots_unit_is_the_scenarios() -> None:
-    told = briefing(load_scenario("escort", overrides=["law.name=logarithmic"]), "uav_0", 0)
-    unit = VehicleUnit(told)
+    own_briefing = briefing(load_scenario("escort", overrides=["law.name=logarithmic"]), "uav_0", 0)
+    unit = VehicleUnit(own_briefing)
     assert isinstance(unit._pilot, UavPilot)
     assert unit._pilot.filter is None
     values = every_input(unit, 1.0)
@@ -407,7 +417,7 @@ def test_the_group_without_a_command_prints_its_help(command) -> None:
     assert "Commands:" in made.stderr.splitlines()
 
 
-def test_every_variable_of_a_unit_is_told_with_its_unit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_variable_is_documented_with_its_unit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(Path(__file__).parents[3] / "docs" / "generators")
     generator = importlib.import_module("fmi_variables")
     text = generator.pilots() + generator.world() + generator.driver()

@@ -1,3 +1,3 @@
-"""Collection: the tests in `libraries` need a learning library each; `make learn-test` names them."""
+"""Exclude `libraries` from collection: each test there needs a learning library; `make learn-test` installs them."""
 
 collect_ignore = ["libraries"]

@@ -1,4 +1,4 @@
-"""The learned UAV: its file, its flight alone and in a batch, its table; all without a learning library."""
+"""The learned UAV: its file, single and batched flights, its table; all without a learning library."""
 
 import importlib
 import json
@@ -50,8 +50,8 @@ def test_the_shipped_file_is_small_and_says_how_it_was_made(evaluation: ModuleTy
     assert POLICY.stat().st_size < 300_000
     assert recipe["algorithm"] == "PPO"
     assert recipe["trained"]["ticks"] == recipe["repeat"] * recipe["trained"]["decisions"] > 1e6
-    told = "seed num_envs rewards versions scenario driver curve"
-    assert set(words(told)) <= recipe.keys()
+    fields = "seed num_envs rewards versions scenario driver curve"
+    assert set(words(fields)) <= recipe.keys()
     assert recipe["seed"] * 100 + recipe["num_envs"] < evaluation.VALIDATION_SEEDS[0]
     assert network.weights[-1].shape[0] == 2
 
@@ -79,7 +79,7 @@ def test_it_flies_a_single_environment_as_it_flies_a_batch() -> None:
     assert env.unwrapped.metrics()["uav_0"]["distance"] == worlds.metrics()["uav_0"]["distance"][k]
 
 
-def test_one_world_on_ground_with_hazards_the_ugvs_are_told_by_radio_as_in_the_batch() -> None:
+def test_ugv_receives_tiles_by_radio_in_one_world_as_in_a_batch() -> None:
     wall = Hazard(kind="block", center=(9.0, 11.0), radius=0.5)
     grounded, policy = msgspec.structs.replace(NOISY, hazard=(wall,)), LearnedPolicy.load(POLICY)
     worlds = Worlds(grounded, 1, ["uav_0", "ugv_0"], **policy.setup)
@@ -92,7 +92,7 @@ def test_one_world_on_ground_with_hazards_the_ugvs_are_told_by_radio_as_in_the_b
         seen, *_ = env.step(dict.fromkeys(env.agents, still))
     observed, tiles = worlds.observe("ugv_0"), seen["ugv_0"]["tiles"]
     assert np.array_equal(observed["tiles"][0], tiles)
-    assert np.count_nonzero(tiles == CLEAR) > 50  # more than a bumper feels
+    assert np.count_nonzero(tiles == CLEAR) > 50  # more than the bumper senses
 
 
 def test_it_sees_what_it_was_trained_on() -> None:
@@ -124,7 +124,7 @@ def test_it_sees_what_it_was_trained_on() -> None:
         assert np.array_equal(paid, total)
 
 
-def test_it_begins_anew_with_each_episode_of_each_world() -> None:
+def test_it_restarts_with_each_episode_of_each_world() -> None:
     policy, other = LearnedPolicy.load(POLICY), LearnedPolicy.load(POLICY)
     env = outrider.vector_env(NOISY, num_envs=2, duration=20.0, **policy.setup)
     seen, _ = env.reset(seed=[3, 4])
@@ -140,7 +140,7 @@ def test_it_begins_anew_with_each_episode_of_each_world() -> None:
         first, *_ = again.step(action)
 
 
-def test_asked_for_the_first_time_amid_an_episode_it_answers_at_once() -> None:
+def test_first_call_within_an_episode_returns_actions_at_once() -> None:
     policy = LearnedPolicy.load(POLICY)
     env = outrider.vector_env(NOISY, num_envs=2, **policy.setup)
     env.reset(seed=3)
@@ -159,7 +159,7 @@ def test_it_sees_more_than_the_circle_and_keeps_sight(evaluation: ModuleType) ->
         assert (learned["ticks"] == circle["ticks"]).all()
 
 
-def test_the_table_is_the_same_twice_and_says_what_is_not_filtered(evaluation: ModuleType) -> None:
+def test_table_is_reproducible_and_marks_unfiltered_pilots(evaluation: ModuleType) -> None:
     results = evaluation.evaluate(POLICY, flights=2, cases=["covered"], duration=10.0)
     assert results == evaluation.evaluate(POLICY, flights=2, cases=["covered"], duration=10.0)
     assert [result.pilot for result in results][: len(evaluation.BASELINES)] == list(
@@ -196,7 +196,7 @@ _UNREADABLE = ("missing", "text", "empty", "half", "other", "objects", "complex"
 
 
 def _bad_files(folder: Path) -> dict[str, str]:
-    """Files that are no policy, and what is said of them."""
+    """Return invalid files and their error messages."""
     network, recipe = load_policy(POLICY)
     (folder / "text.npz").write_text("no policy")
     (folder / "empty.npz").write_bytes(b"")
@@ -276,7 +276,7 @@ def test_a_policy_asks_for_the_observations_that_it_needs(evaluation: ModuleType
         evaluation.evaluate(POLICY, flights=1, cases=["moon"])
 
 
-def test_a_world_is_answered_with_the_same_bits_alone_and_in_a_batch() -> None:
+def test_network_output_has_the_same_bits_alone_and_in_a_batch() -> None:
     rng = np.random.default_rng(0)
     network = Mlp(
         (rng.normal(size=(64, 86)), rng.normal(size=(64, 64)), rng.normal(size=(2, 64))),
@@ -294,8 +294,8 @@ def test_a_world_is_answered_with_the_same_bits_alone_and_in_a_batch() -> None:
 
 
 @pytest.mark.parametrize("duration", [1.0, 0.5])
-def test_a_repeated_action_is_so_many_ticks_and_the_sum_of_their_rewards(duration: float) -> None:
-    """Five steps of four ticks, and ten ticks, which end amid the third step: the next episode rests until its end."""
+def test_action_repeat_sums_the_rewards_of_its_ticks(duration: float) -> None:
+    """Compare five steps of four ticks with ten ticks, which end within the third step; then the UAV rests."""
     plain, repeated = (
         outrider.vector_env("escort", num_envs=2, duration=duration) for _ in range(2)
     )
@@ -304,23 +304,23 @@ def test_a_repeated_action_is_so_many_ticks_and_the_sum_of_their_rewards(duratio
     env.reset(seed=2)
     action, ends = np.array([[0.2, 0.1], [-0.3, 0.0]]), 0
     for _ in range(10):
-        held, total, told = action, np.zeros(2), dict[str, Any]()
+        applied, total, ended = action, np.zeros(2), dict[str, Any]()
         for _ in range(4):
-            seen, rewards, terminated, truncated, infos = plain.step(held)
-            total += 0.0 if told else rewards
+            seen, rewards, terminated, truncated, infos = plain.step(applied)
+            total += 0.0 if ended else rewards
             assert not terminated.any()
             if truncated.all():
-                held, told = np.zeros((2, 2)), infos
+                applied, ended = np.zeros((2, 2)), infos
         got, paid, lost, over, infos = env.step(action)
         assert np.array_equal(got, seen)
         assert np.array_equal(paid, total)
         assert not lost.any()
-        assert over.tolist() == [bool(told)] * 2
-        if told:
+        assert over.tolist() == [bool(ended)] * 2
+        if ended:
             ends += 1
             assert infos["_final_obs"].all()
-            assert np.array_equal(np.stack(infos["final_obs"]), np.stack(told["final_obs"]))
-            returns, theirs = (one["final_info"]["episode"]["r"] for one in (infos, told))
+            assert np.array_equal(np.stack(infos["final_obs"]), np.stack(ended["final_obs"]))
+            returns, theirs = (one["final_info"]["episode"]["r"] for one in (infos, ended))
             assert np.array_equal(returns, theirs)
     assert ends == round(2.0 / duration)
 

@@ -1,4 +1,4 @@
-"""The vehicle's own frame and stacked observations, in every world of a vector environment across episodes."""
+"""The body frame and stacked observations, in every world of a vector environment across episodes."""
 
 import math
 from types import SimpleNamespace
@@ -50,28 +50,28 @@ class Rows(gymnasium.Env[Any, Any]):
 
 
 def worlds(mode: str, patch: Any = None, ticks: Any = TICKS) -> SyncVectorEnv:
-    """A world for each of `ticks`."""
+    """Return a world for each of `ticks`."""
     return SyncVectorEnv([lambda n=n: Rows(n, patch) for n in ticks], autoreset_mode=mode)
 
 
 def in_both(env: Any) -> Transformed:
-    """The vehicle's own frame, stacked."""
+    """Apply the body frame, then stack."""
     return Transformed(Transformed(env, Egocentric()), Stack(3))
 
 
 def named(table: Any, row: Any) -> SimpleNamespace:
-    """The entries of a row."""
+    """Return the entries of a row by name."""
     return SimpleNamespace(**{name: float(one) for name, one in by_name(table, row).items()})
 
 
 def bound(one: Transformation, space: Any) -> Transformation:
-    """A transformation of one world's observations."""
+    """Bind a transformation to the observations of one world."""
     one.space(space)
     return one
 
 
 def uav_space(**settings: Any) -> Any:
-    """Observation of a UAV."""
+    """Return the observation space of a UAV."""
     return outrider.single_env(ONE, **settings).observation_space
 
 
@@ -80,12 +80,12 @@ def uav_space(**settings: Any) -> Any:
 
 @pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
 @pytest.mark.parametrize("patch", [None, PATCH], ids=["row", "pictures"])
-def test_each_world_is_as_it_is_alone_across_the_ends_of_episodes(mode: str, patch: Any) -> None:
+def test_each_world_matches_a_single_one_across_episode_ends(mode: str, patch: Any) -> None:
     env = in_both(worlds(mode, patch))
     alone = [in_both(worlds("Disabled", patch, [ticks])) for ticks in TICKS]
     assert env.single_observation_space == alone[0].single_observation_space
     assert env.observation_space == batch_space(env.single_observation_space, 3)
-    rng, to_begin, finals = np.random.default_rng(5), [False] * 3, 0
+    rng, restart, finals = np.random.default_rng(5), [False] * 3, 0
     seen, _ = env.reset(seed=3)
     for k, one in enumerate(alone):
         assert equal(one_of_world(seen, k), one_of_world(one.reset(seed=3 + k)[0], 0))
@@ -95,8 +95,8 @@ def test_each_world_is_as_it_is_alone_across_the_ends_of_episodes(mode: str, pat
         assert env.observation_space.contains(seen)
         for k, one in enumerate(alone):
             end = [False]
-            if to_begin[k]:
-                now, to_begin[k] = one.reset()[0], False
+            if restart[k]:
+                now, restart[k] = one.reset()[0], False
             else:
                 now, _, _, end, _ = one.step(actions[k : k + 1])
             assert end[0] == truncated[k]
@@ -104,12 +104,12 @@ def test_each_world_is_as_it_is_alone_across_the_ends_of_episodes(mode: str, pat
                 assert equal(infos["final_obs"][k], one_of_world(now, 0))
                 now, finals = one.reset()[0], finals + 1
             else:
-                to_begin[k] = bool(end[0])
+                restart[k] = bool(end[0])
             assert equal(one_of_world(seen, k), one_of_world(now, 0))
     assert finals == (sum(16 // ticks for ticks in TICKS) if mode == "SameStep" else 0)
 
 
-def test_worlds_that_are_reset_by_hand_begin_and_the_others_do_not() -> None:
+def test_only_worlds_in_the_reset_mask_restart() -> None:
     env = in_both(worlds("Disabled"))
     first, _ = env.reset(seed=0)
     for _ in range(4):
@@ -121,14 +121,14 @@ def test_worlds_that_are_reset_by_hand_begin_and_the_others_do_not() -> None:
     assert not equal(before[1], first[1])
 
 
-def test_what_is_done_to_a_returned_observation_changes_nothing_later() -> None:
-    touched, twin = (in_both(worlds("SameStep", PATCH)) for _ in range(2))
-    (one, _), (other, _) = touched.reset(seed=1), twin.reset(seed=1)
+def test_changing_a_returned_observation_has_no_effect() -> None:
+    touched, untouched = (in_both(worlds("SameStep", PATCH)) for _ in range(2))
+    (one, _), (other, _) = touched.reset(seed=1), untouched.reset(seed=1)
     for _ in range(8):
         assert equal(one, other)
         for array in one.values():
             array[...] = 77
-        one, other = (env.step(np.full((3, 2), 0.05))[0] for env in (touched, twin))
+        one, other = (env.step(np.full((3, 2), 0.05))[0] for env in (touched, untouched))
 
 
 @pytest.mark.parametrize("patch", [None, PATCH])
@@ -144,11 +144,11 @@ def test_a_stack_is_gymnasiums_of_one_world(patch: Any, length: int) -> None:
             assert equal(one_of_world(seen, 0), theirs.step(np.array([0.1, 0.2]))[0])
 
 
-# -- the vehicle's frame
+# -- the body frame
 
 
 def turned(heading: Any, x: float, y: float) -> tuple[float, float]:
-    """A vector of the vehicle's frame in the world frame."""
+    """Return a vector of the body frame in the world frame."""
     return heading[0] * x - heading[1] * y, heading[1] * x + heading[0] * y
 
 
@@ -180,14 +180,14 @@ def test_a_uavs_row_in_its_frame_says_the_same_as_in_the_worlds() -> None:
         raw, seen = plain.step(world)[0], env.step(body)[0]
 
 
-def test_the_goal_is_seen_from_the_ugv_and_is_gone_with_the_last_one() -> None:
+def test_goal_is_relative_to_the_ugv_and_zero_after_the_last() -> None:
     near = Ugv(position=(10.0, 10.0), velocity=(0.0, 0.1), goals=((10.1, 10.3), (10.0, 10.4)))
     scenario = msgspec.structs.replace(ONE, ugv=(near,))
     settings = {"num_envs": 1, "agent": "ugv_0", "end_on_sight_lost": False}
     env = Transformed(outrider.vector_env(scenario, **settings), Egocentric())
     row = named(UGV_BODY, env.reset(seed=0)[0][0])
     assert (row.heading_x, row.heading_y, row.speed) == pytest.approx((0.0, 1.0, 0.1))
-    # ahead is north, the left is west
+    # ahead is north, left is west
     assert (row.underway, row.goal_x, row.goal_y) == pytest.approx((1.0, 0.3, -0.1))
     one = bound(Egocentric(), env.env.single_observation_space)
     arrived = np.array([[1.0, 10.0, 10.0, 0.1, 0.0, 0.0, 12.0, 13.0]])
@@ -195,7 +195,7 @@ def test_the_goal_is_seen_from_the_ugv_and_is_gone_with_the_last_one() -> None:
     np.testing.assert_array_equal(one.begin(arrived, ALL)[0, -3:], 0.0)
 
 
-def test_the_heading_stays_while_the_vehicle_rests_and_begins_east() -> None:
+def test_heading_starts_east_and_is_kept_at_rest() -> None:
     one = bound(Egocentric(rest=0.1), uav_space())
 
     def row(vx: float, vy: float) -> Any:

@@ -1,4 +1,4 @@
-"""Ground with hazards in the environments: what a UGV observes of it, what is paid, how the mission went; its suite."""
+"""Environments with hazards: observations of a UGV, rewards, mission results; the suite of missions."""
 
 import hashlib
 import json
@@ -47,15 +47,15 @@ PAID = outrider.RewardWeights(reported=0.05, hit=20.0, still=0.1, effort=0.3)
 
 
 def grounded(*, duration: float = 12.0, driver: str = "navigate") -> Scenario:
-    """A UGV at (8, 6) m on its way to (12, 6) m, with a wall in between."""
+    """Return a scenario with a UGV at (8, 6) m, its goal at (12, 6) m, and a wall in between."""
     plain = small("tracking", driver)
     (ugv,) = plain.ugv
     ugv = msgspec.structs.replace(ugv, position=(8.0, 6.0), goals=((12.0, 6.0),))
     return msgspec.structs.replace(plain, hazard=(WALL, MUD), ugv=(ugv,), duration=duration, seed=5)
 
 
-def test_a_world_of_the_vector_environment_is_the_parallel_one_bit_for_bit() -> None:
-    """Tiles, rewards and the end's infos, with the UGV driven straight at the wall by hand."""
+def test_vector_world_has_the_bits_of_the_parallel_environment() -> None:
+    """Compare tiles, rewards and final infos while the UGV drives straight at the wall."""
     env = outrider.parallel_env(grounded(), rewards=PAID)
     worlds = outrider.parallel_vector_env(grounded(), num_envs=2, rewards=PAID)
     law, paid = pilots(env)["uav_0"], dict.fromkeys(env.possible_agents, 0.0)
@@ -75,25 +75,25 @@ def test_a_world_of_the_vector_environment_is_the_parallel_one_bit_for_bit() -> 
             assert reward == all_rewards[name][0]
             paid[name] += reward
     final = all_infos["ugv_0"]["final_info"]
-    told = infos["ugv_0"]
-    assert set(told) == {"goals_reached", *MissionResult.__struct_fields__} - {"guarantees"}
-    assert infos["uav_0"] == {}  # nothing true gets to a UAV
-    for key, value in told.items():
+    result = infos["ugv_0"]
+    assert set(result) == {"goals_reached", *MissionResult.__struct_fields__} - {"guarantees"}
+    assert infos["uav_0"] == {}  # no truth reaches a UAV
+    for key, value in result.items():
         assert np.array_equal(final[key][0], value, equal_nan=True)
-    assert (told["hazards_hit"], told["arrived"]) == (1, False)
-    assert math.isnan(told["mission_time"])
+    assert (result["hazards_hit"], result["arrived"]) == (1, False)
+    assert math.isnan(result["mission_time"])
     tiles = seen["ugv_0"]["tiles"]
     assert equal(tiles, all_infos["ugv_0"]["final_obs"][0]["tiles"])
     received = env.world.ground.missions["received_tiles"].item()
     assert received > 100
     metrics = env.metrics()["ugv_0"]
-    assert metrics["reward_hit"] == 0.0  # it was paid for once, some ticks ago
+    assert metrics["reward_hit"] == 0.0  # paid once, some ticks ago
     assert metrics["reward_still"] == pytest.approx(-0.1 * env.scenario.dt)
     assert -20.0 < paid["ugv_0"] < -18.0  # a metre nearer, and one hit
     worlds.close()
 
 
-def test_a_ugv_observes_the_tiles_around_its_own_as_it_knows_them() -> None:
+def test_ugv_observes_the_surrounding_tiles_that_it_knows() -> None:
     env = outrider.parallel_env(grounded(), tile_patch=31)
     silent = msgspec.structs.replace(
         grounded(), ground=msgspec.structs.replace(grounded().ground, map_update_rate=0.0)
@@ -117,7 +117,7 @@ def test_a_ugv_observes_the_tiles_around_its_own_as_it_knows_them() -> None:
             assert tiles[i, j] in ((UNSEEN, truth[at]) if inside else (OUTSIDE,))
     assert {UNSEEN, CLEAR, ROUGH, BLOCK, OUTSIDE} == set(np.unique(tiles).tolist())
     by_bumper = np.isin(alone["ugv_0"]["tiles"], (CLEAR, BLOCK)).sum()
-    assert 2 * by_bumper < np.isin(tiles, (CLEAR, BLOCK)).sum()  # the rest has come by radio
+    assert 2 * by_bumper < np.isin(tiles, (CLEAR, BLOCK)).sum()  # the rest was received by radio
 
 
 def test_nothing_changes_without_hazards() -> None:
@@ -141,7 +141,7 @@ def test_a_picture_of_tiles_has_a_middle(side: Any) -> None:
 
 
 class Tiny:
-    """A policy of somebody's own that saves its space as learning libraries do, and drives where nothing blocks."""
+    """A user's policy that saves its space like learning libraries, and drives where nothing blocks."""
 
     def __init__(self, env: Any) -> None:
         self.observation_space = env.observation_space("ugv_0")
@@ -153,7 +153,7 @@ class Tiny:
         return (-0.1, 0.0) if BLOCK in ahead.tolist() else (0.05, 0.02)
 
 
-def test_a_policy_sees_over_the_bus_the_tiles_that_it_saw_in_the_environment() -> None:
+def test_policy_sees_the_same_tiles_over_the_bus() -> None:
     scenario = grounded(duration=6.0)
     env = outrider.parallel_env(scenario)
     there, here, law = Tiny(env), Tiny(env), pilots(env)["uav_0"]
@@ -161,8 +161,8 @@ def test_a_policy_sees_over_the_bus_the_tiles_that_it_saw_in_the_environment() -
     while env.agents:
         action = there.predict(seen["ugv_0"])
         seen, *_ = env.step({"uav_0": law(seen["uav_0"]), "ugv_0": action})
-    told = briefing(scenario, "ugv_0", 5)
-    driver = PolicyDriver(told, policy=here, name="tiny:drive")
+    own_briefing = briefing(scenario, "ugv_0", 5)
+    driver = PolicyDriver(own_briefing, policy=here, name="tiny:drive")
 
     def act(seen: UgvObservation) -> UgvCommand:
         return UgvCommand(tick=seen.tick, acceleration=driver.drive(seen))
@@ -173,7 +173,7 @@ def test_a_policy_sees_over_the_bus_the_tiles_that_it_saw_in_the_environment() -
     assert any((one["tiles"] == BLOCK).any() for one in here.seen)
 
 
-def test_the_example_of_a_navigation_policy_drives_on_known_ground_towards_its_goal() -> None:
+def test_navigation_example_approaches_its_goal_on_known_ground() -> None:
     example = run_path(str(ROOT / "examples" / "navigate_by_tiles.py"))
     policy = example["policy"]
     env = outrider.parallel_env(msgspec.structs.replace(load_scenario("minefield"), duration=30.0))
@@ -190,21 +190,24 @@ def test_the_example_of_a_navigation_policy_drives_on_known_ground_towards_its_g
 
 
 def test_a_policy_that_observes_tiles_needs_hazards() -> None:
-    model, told = Tiny(outrider.parallel_env(grounded())), briefing(small("tracking"), "ugv_0", 1)
+    model, own_briefing = (
+        Tiny(outrider.parallel_env(grounded())),
+        briefing(small("tracking"), "ugv_0", 1),
+    )
     with refused(ScenarioError, "policy = 'tiny:drive': observes tiles, but the scenario has no"):
-        PolicyDriver(told, policy=model, name="tiny:drive")
+        PolicyDriver(own_briefing, policy=model, name="tiny:drive")
 
 
 def fingerprint(tasks: Sequence[Task]) -> str:
-    """SHA-256 of all that defines tasks: names, scenarios, changes, kind of score, and the seeds."""
+    """Return the SHA-256 of all that defines tasks: names, scenarios, changes, kind of score, and seeds."""
     bases = {task.base: tomllib.loads(shipped_text(task.base)) for task in tasks}
-    told = [[task.name, task.base, task.mission, task.changes] for task in tasks]
-    whole = json.dumps([bases, told, SEEDS], sort_keys=True)
+    rows = [[task.name, task.base, task.mission, task.changes] for task in tasks]
+    whole = json.dumps([bases, rows, SEEDS], sort_keys=True)
     return hashlib.sha256(whole.encode()).hexdigest()
 
 
 def test_the_tasks_of_a_suite_with_a_number_never_change() -> None:
-    """A change of one gives the suite its next number."""
+    """A change of a task needs a suite with the next number."""
     assert fingerprint(TASKS) == "d0af2ce7d7aac54ce8337002c49277a6efeb50b511e506be4410a321df4e8ec7"
     assert (
         fingerprint(MISSIONS) == "4c13e27984ee0daf66b574bcb8657067646305e9f6ab26b8081ee14998987994"
@@ -213,8 +216,8 @@ def test_the_tasks_of_a_suite_with_a_number_never_change() -> None:
 
 def test_a_missions_score_is_the_share_of_the_shortest_time() -> None:
     none = dict.fromkeys(("hazards_hit", "near_misses", "finds", "found"), 0)
-    told = {"hazards_on_path": 3, "warned": 3, "mean_warning_time": 5.0, "reported_share": 0.5}
-    went = MissionResult(arrived=True, mission_time=50.0, stationary_time=0.0, **told, **none)
+    warnings = {"hazards_on_path": 3, "warned": 3, "mean_warning_time": 5.0, "reported_share": 0.5}
+    went = MissionResult(arrived=True, mission_time=50.0, stationary_time=0.0, **warnings, **none)
     changed = msgspec.structs.replace
     assert mission_score(went, 20.0) == pytest.approx(40.0)
     assert mission_score(changed(went, hazards_hit=1), 20.0) == pytest.approx(20.0)
@@ -247,7 +250,7 @@ class Short(Task):
 
 
 class Left(Task):
-    """The goal is near, and so is the end of sight."""
+    """A goal that is as near as the end of sight."""
 
     @property
     def scenario(self) -> Scenario:
@@ -261,14 +264,14 @@ class Left(Task):
         )
 
 
-def test_a_mission_goes_on_out_of_sight_and_what_comes_after_its_end_does_not_count() -> None:
+def test_mission_continues_out_of_sight_and_ends_the_count() -> None:
     turn = iter(range(10**9))
 
     def away(seen: np.ndarray) -> np.ndarray:
         return np.tile([0.0, 0.3], (len(seen), 1))
 
     def drive(_seen: dict[str, np.ndarray]) -> np.ndarray:
-        """The UGV of world 0 arrives before its UAV is away, that of world 1 sets out only then."""
+        """Drive so that UGV 0 arrives before its UAV is out of sight, and UGV 1 starts only then."""
         return np.array([[0.0, -0.1], [0.0, -0.1 if next(turn) > 80 else 0.0]])
 
     task = Left(name="left", hard="", changes={}, mission=True)
@@ -277,7 +280,7 @@ def test_a_mission_goes_on_out_of_sight_and_what_comes_after_its_end_does_not_co
     assert result.scores[0] > result.scores[1] > 0.0
 
 
-def test_a_map_that_was_asked_for_is_ones_own() -> None:
+def test_requested_map_is_a_copy() -> None:
     env = outrider.parallel_env(grounded())
     env.reset(seed=1)
     known = env.known_tiles("ugv_0")
@@ -294,9 +297,9 @@ def test_missions_are_flown_by_laws_policies_and_teams() -> None:
 
     entries = {"law": "tracking", "team": Team(ugv=drive)}
     board = leaderboard(entries, tasks=[task], seeds=[1, 2], secret=SECRET)
-    told = {standing.entry: standing.results[0] for standing in board.standings}
-    assert told["law"].hazards_hit == 0  # type: ignore[attr-defined]
-    assert told["law"].reported_share > 0.3  # type: ignore[attr-defined]
+    result_of = {standing.entry: standing.results[0] for standing in board.standings}
+    assert result_of["law"].hazards_hit == 0  # type: ignore[attr-defined]
+    assert result_of["law"].reported_share > 0.3  # type: ignore[attr-defined]
     assert board.markdown().splitlines()[-1].startswith("| **interquartile mean** | 0.0 [0.0, 0.0]")
     with refused(ValueError, "tasks: missions and other tasks"):
         leaderboard(["tracking"], tasks=[task, TASKS[0]])

@@ -1,4 +1,4 @@
-"""The suite: its tasks can be flown, its score is what it says, and losing sight never pays."""
+"""The suite: every task can be flown, the score follows its definition, and losing sight never pays."""
 
 import json
 import math
@@ -36,7 +36,7 @@ SLOW = Task(name="slow", hard="", changes={**SHORT, "duration": 30.0})
 
 
 def hover(seen: np.ndarray) -> np.ndarray:
-    """Fly to where the UGV was last seen, with the estimate."""
+    """Fly to the estimated position of the UGV."""
     return -0.2 * seen[:, 6:8] - seen[:, 3:5]
 
 
@@ -45,7 +45,7 @@ def away(seen: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)
-def test_each_task_can_be_flown_by_every_law_that_is_on_the_board(task: Task) -> None:
+def test_every_ranked_law_can_fly_each_task(task: Task) -> None:
     scenario = task.scenario
     assert not scenario_warnings(scenario)
     assert scenario.name == task.name
@@ -71,14 +71,14 @@ def test_there_are_a_dozen_tasks_and_each_has_a_name_of_its_own() -> None:
         suite()["nosie"]
 
 
-def test_the_seeds_are_twenty_and_no_training_run_begins_with_them() -> None:
+def test_twenty_seeds_differ_from_all_training_seeds() -> None:
     assert len(set(SEEDS)) == 20
     firsts = {task.scenario.seed for task in TASKS}
     assert all(abs(seed - first) > 4096 for seed in SEEDS for first in firsts)
 
 
 def test_the_score_is_the_mean_share_of_what_there_was_to_see() -> None:
-    """Against a single flight over the bus' own loop, tick by tick."""
+    """Compare with a single flight in the loop of the bus, tick by tick."""
     half = {"coverage.covered": [{"lower": [0.0, 0.0], "upper": [8.0, 12.0]}]}
     task = Task(name="half", hard="", changes=SHORT | half)
     scenario = task.scenario
@@ -104,31 +104,31 @@ def test_the_mean_error_is_that_of_single_runs() -> None:
     assert result.mean_error == pytest.approx(np.mean(alone))
 
 
-def test_a_law_and_the_same_flight_from_outside_have_the_same_score() -> None:
-    """The commands of the law, recorded and given as actions, fly the same bits and score the same."""
-    said: list[tuple[float, float]] = []
+def test_external_actions_of_a_law_get_the_score_of_the_law() -> None:
+    """Score the recorded commands of a law, given as actions."""
+    recorded_actions: list[tuple[float, float]] = []
 
     class Recording(InProcess):
         def collect(self, tick: int) -> dict[str, Command]:
             commands = super().collect(tick)
-            said.append(commands["uav_0"].acceleration)
+            recorded_actions.append(commands["uav_0"].acceleration)
             return commands
 
     own = derive_secret(SECRET, TASK.name)
     flight = Flight(TASK.scenario, 9003, secret=own)
     flight.fly(Recording(make_pilots(TASK.scenario, 9003, secret=own)))
-    commands = iter(said)
+    commands = iter(recorded_actions)
     outside = TASK.evaluate(lambda seen: [next(commands)], seeds=[9003], secret=SECRET)
     assert outside.scores == TASK.evaluate("certified", seeds=[9003], secret=SECRET).scores
 
 
-def test_from_the_tick_at_which_sight_is_lost_nothing_counts_as_seen() -> None:
+def test_nothing_counts_as_seen_after_sight_is_lost() -> None:
     twins = {"seeds": [9000, 9001]}
     lost, kept = (SLOW.evaluate(entry, **twins, secret=SECRET) for entry in (away, "tracking"))
     assert (lost.lost, kept.lost) == (2, 0)
     longer = Task(name="longer", hard="", changes={**SHORT, "duration": 60.0})
     shorter = longer.evaluate(away, **twins, secret=SECRET)
-    # Twice the time with the same flight: what was seen counts half.
+    # Twice the time with the same flight: the visible part counts half.
     assert np.array(shorter.scores) * 1201 == pytest.approx(np.array(lost.scores) * 601, rel=1e-12)
     assert lost.score < kept.score
     saved = SLOW.evaluate(away, seeds=[9000, 9001], safety_filter=True)
@@ -139,7 +139,7 @@ def test_from_the_tick_at_which_sight_is_lost_nothing_counts_as_seen() -> None:
 def test_sight_that_is_found_again_stays_lost() -> None:
     def scores(turns_back: bool) -> tuple[float, ...]:
         def policy(seen: np.ndarray) -> np.ndarray:
-            """World 0 flies out of sight, and back again or not; world 1 stays."""
+            """Fly world 0 out of sight, and back again or not; keep world 1 in place."""
             outward = 0.3 if seen[0, 0] < 14.0 or not turns_back else -0.3
             return np.vstack([[outward, 0.0], hover(seen)[1]])
 
@@ -150,9 +150,9 @@ def test_sight_that_is_found_again_stays_lost() -> None:
     assert scores(turns_back=True) == scores(turns_back=False)
 
 
-def test_what_is_certified_out_of_sight_is_told_with_the_score(monkeypatch):
+def test_score_reports_certified_ticks_out_of_sight(monkeypatch):
     class Near(ClosedLoop):
-        """Sight ends at two metres, and the filter was told another r_v."""
+        """End sight at two metres, with another r_v in the safety filter."""
 
         def begin(self, seeds: Any, worlds: Any = None) -> None:
             self.tables.batch.world["r_v"] = 2.0
@@ -161,18 +161,18 @@ def test_what_is_certified_out_of_sight_is_told_with_the_score(monkeypatch):
     assert SLOW.evaluate("certified", seeds=[9000], secret=SECRET).certified_while_lost == 0
     monkeypatch.setattr(worlds, "ClosedLoop", Near)
     result = SLOW.evaluate("certified", seeds=[9000], secret=SECRET)
-    # the tick with which sight is lost; then the task is over
+    # the tick with which sight is lost ends the task
     assert (result.lost, result.certified_while_lost) == (1, 1)
     result = SLOW.evaluate("certified", seeds=[9000, 9001], secret=SECRET)
     assert (result.lost, result.certified_while_lost) == (2, 2)
     board = leaderboard(["certified", "linear"], tasks=[SLOW], seeds=[9000, 9001], secret=SECRET)
-    told = {standing.entry: standing.certified_while_lost for standing in board.standings}
-    assert told == {"certified": 2, "linear": 0}
+    counts = {standing.entry: standing.certified_while_lost for standing in board.standings}
+    assert counts == {"certified": 2, "linear": 0}
 
 
-def test_a_certificate_that_ends_for_no_reason_is_told_with_the_score(monkeypatch):
+def test_score_reports_a_certificate_ended_without_reason(monkeypatch):
     class Impatient(ClosedLoop):
-        """The filter takes for too old what is not as old as was declared."""
+        """Declare a smaller age to the safety filter than its detections have."""
 
         def begin(self, seeds: Any, worlds: Any = None) -> None:
             self.tables.safety["max_age_ticks"] = 0
@@ -180,13 +180,13 @@ def test_a_certificate_that_ends_for_no_reason_is_told_with_the_score(monkeypatc
 
     monkeypatch.setattr(worlds, "ClosedLoop", Impatient)
     board = leaderboard(["certified", "linear"], tasks=[TASK], seeds=[9000], secret=SECRET)
-    told = {standing.entry: standing.certificate_broken for standing in board.standings}
-    assert told["certified"] > told["linear"] == 0
+    counts = {standing.entry: standing.certificate_broken for standing in board.standings}
+    assert counts["certified"] > counts["linear"] == 0
     for standing in board.standings:
-        assert standing.results[0].certificate_broken == told[standing.entry]
+        assert standing.results[0].certificate_broken == counts[standing.entry]
 
 
-def test_nothing_that_the_suite_flies_on_bad_links_is_certified_falsely() -> None:
+def test_suite_on_bad_links_has_no_false_certificate() -> None:
     for name in ("late-looks", "dropouts", "bursts", "late-commands", "all-at-once"):
         task = Task(name=name, hard="", changes={**suite()[name].changes, "duration": 80.0})
         result = task.evaluate("certified", seeds=SEEDS[:3])
@@ -199,7 +199,7 @@ def test_who_sees_more_scores_more() -> None:
     assert scores[0].score < scores[1].score
 
 
-def test_a_policy_with_a_memory_has_one_for_each_uav_and_begins_anew() -> None:
+def test_policy_memory_is_per_uav_and_starts_empty() -> None:
     class Counting:
         def __init__(self) -> None:
             self.times: list[float] = []
@@ -218,7 +218,7 @@ def test_a_policy_with_a_memory_has_one_for_each_uav_and_begins_anew() -> None:
     assert first.entry == "Counting"
 
 
-def test_nobody_knows_what_noise_an_evaluation_has_before_it_is_over() -> None:
+def test_noise_of_an_evaluation_is_secret_until_its_end() -> None:
     first, again = (TASK.evaluate("tracking", seeds=[1, 2]) for _ in range(2))
     assert len({first.secret, again.secret, ""}) == 3
     assert first.scores != again.scores
@@ -226,7 +226,7 @@ def test_nobody_knows_what_noise_an_evaluation_has_before_it_is_over() -> None:
 
 
 def test_both_pairs_count() -> None:
-    """One UAV of two that flies away ends it for both."""
+    """Check that one UAV of two that flies away ends the task for both."""
     pair = Task(name="pair", hard="", changes={**suite()["two-pairs"].changes, "duration": 25.0})
     turn = iter(range(10**9))
 
@@ -240,9 +240,9 @@ def test_both_pairs_count() -> None:
 def test_an_evaluation_is_the_same_again_and_from_another_thread() -> None:
     tasks = [TASK, SLOW]
     entries: dict[str, Any] = {"tracking": "tracking", "mine": hover}
-    told = {"tasks": tasks, "seeds": [5, 6], "estimate": True}
-    board = leaderboard(entries, **told)  # its secret is told
-    assert board == leaderboard(entries, **told, secret=board.secret)
+    common = {"tasks": tasks, "seeds": [5, 6], "estimate": True}
+    board = leaderboard(entries, **common)  # reuses the secret
+    assert board == leaderboard(entries, **common, secret=board.secret)
     for standing in board.standings:
         mine = standing.entry == "mine"
         settings = {"seeds": [5, 6], "secret": board.secret, "name": standing.entry}
@@ -254,15 +254,15 @@ def test_an_evaluation_is_the_same_again_and_from_another_thread() -> None:
 
 
 def test_the_board_has_the_best_first_and_says_who_lost_sight() -> None:
-    told: list[float] = []
+    shares: list[float] = []
     board = leaderboard(
         {"gone": away, "hover": hover, "linear": "linear"},
         tasks=[SLOW],
         seeds=[5, 6],
-        on_progress=lambda what, share: told.append(share),
+        on_progress=lambda what, share: shares.append(share),
     )
     assert [standing.entry for standing in board.standings][-1] == "gone"
-    assert told == pytest.approx([1 / 3, 2 / 3, 1.0])
+    assert shares == pytest.approx([1 / 3, 2 / 3, 1.0])
     lines = board.markdown().splitlines()
     assert lines[1] == "| --- | ---: | ---: | ---: |"
     assert lines[2].startswith("| slow | ")
@@ -273,8 +273,8 @@ def test_the_board_has_the_best_first_and_says_who_lost_sight() -> None:
 def test_a_single_seed_has_no_interval() -> None:
     board = leaderboard(["tracking"], tasks=[TASK], seeds=[5], secret=SECRET)
     (standing,) = board.standings
-    told = (standing.low, standing.high, standing.middle_low, standing.results[0].high)
-    assert all(map(math.isnan, told))
+    bounds = (standing.low, standing.high, standing.middle_low, standing.results[0].high)
+    assert all(map(math.isnan, bounds))
     assert [line.split(" | ")[1] for line in board.markdown().splitlines()[2:]] == [
         f"{standing.score:.1f} |"
     ] * 2
@@ -310,7 +310,7 @@ def test_bad_seeds_are_refused(seeds: Any, message: str) -> None:
             TASK.evaluate(entry, seeds=seeds)
 
 
-def test_a_board_of_nobody_is_refused() -> None:
+def test_leaderboard_without_entries_is_refused() -> None:
     with pytest.raises(ValueError, match="0 entries and 1 tasks"):
         leaderboard({}, tasks=[TASK])
     with pytest.raises(ValueError, match="2 entries and 0 tasks"):
@@ -328,13 +328,13 @@ def test_a_scenario_of_ones_own_is_scored_alike() -> None:
 
 
 @pytest.mark.parametrize("base", ["escort", "minefield"])
-def test_what_an_entry_observes_in_one_task_tells_nothing_of_the_noise_in_another(
+def test_noise_of_one_task_reveals_nothing_about_another(
     base: str,
 ) -> None:
-    """Everybody moves alike in both, so that what differs of a detection is noise."""
+    """Move all vehicles alike in both tasks, so that detections differ by noise only."""
     mission = base == "minefield"
 
-    def looks(name: str) -> FloatArray:
+    def detections_of(name: str) -> FloatArray:
         seen = []
 
         def act(observations: FloatArray) -> FloatArray:
@@ -350,14 +350,14 @@ def test_what_an_entry_observes_in_one_task_tells_nothing_of_the_noise_in_anothe
         task.evaluate(entry, seeds=(9000,), secret=SECRET)
         return np.concatenate(seen)
 
-    one, again, other = looks("one"), looks("one"), looks("other")
+    one, again, other = detections_of("one"), detections_of("one"), detections_of("other")
     assert np.array_equal(one, again)
     assert one[1:, 0].all()
     assert (one[1:, 1:] != other[1:, 1:]).all()
     assert derive_secret("", "one") == ""
 
 
-def test_two_tasks_of_one_name_and_an_entry_that_is_none_are_refused() -> None:
+def test_duplicate_tasks_and_invalid_entries_are_refused() -> None:
     with refused(ValueError, "short, slow, short: duplicate name"):
         leaderboard({"mine": hover}, tasks=[TASK, SLOW, TASK])
     with refused(ValueError, "entry = None; allowed: a law by name, a policy or a team"):
@@ -371,22 +371,26 @@ def test_the_command_scores_laws_and_policies(here, command, monkeypatch) -> Non
     own = words("--uav-policy mine_for_the_suite:away --safety-filter --only short-sight --secret")
     run = command("suite", "--law", "tracking", *own, SECRET, "--json")
     assert (run.returncode, run.stderr) == (0, "")
-    told = json.loads(run.stdout)
-    assert told["tasks"] == ["short-sight"]
-    assert told["secret"] == SECRET
-    entries = {standing["entry"] for standing in told["standings"]}
+    result_json = json.loads(run.stdout)
+    assert result_json["tasks"] == ["short-sight"]
+    assert result_json["secret"] == SECRET
+    entries = {standing["entry"] for standing in result_json["standings"]}
     assert entries == {"tracking", "mine_for_the_suite:away"}
-    result = told["standings"][0]["results"][0]
+    result = result_json["standings"][0]["results"][0]
     names = words("task entry score low high scores mean_error lost episodes secret")
     assert set(result) == {*names, *CERTIFICATES}
     assert result["episodes"] == len(result["scores"]) == 20
-    assert all(standing["lost"] == 0 for standing in told["standings"])  # the filter was asked
-    assert all(standing[count] == 0 for standing in told["standings"] for count in CERTIFICATES)
+    assert all(
+        standing["lost"] == 0 for standing in result_json["standings"]
+    )  # the safety filter was active
+    assert all(
+        standing[count] == 0 for standing in result_json["standings"] for count in CERTIFICATES
+    )
 
 
-def test_the_command_tells_what_the_tasks_are(command) -> None:
-    told = json.loads(command("suite", "--list", "--json").stdout)["tasks"]
-    assert [task["name"] for task in told] == list(suite().names)
-    assert told[0]["env_id"] == "outrider/Suite-Paper-v0"
+def test_command_lists_the_tasks(command) -> None:
+    tasks = json.loads(command("suite", "--list", "--json").stdout)["tasks"]
+    assert [task["name"] for task in tasks] == list(suite().names)
+    assert tasks[0]["env_id"] == "outrider/Suite-Paper-v0"
     for more in ("--list", "--list --markdown --law linear"):
         assert "late-commands" in command("suite", *words(more)).stdout

@@ -1,4 +1,4 @@
-"""The README's suite agrees with the program."""
+"""The suite's page agrees with the program."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""The tasks' names at Gymnasium and PettingZoo."""
+"""The tasks' names in Gymnasium and PettingZoo."""
 
 import gymnasium
 import numpy as np

@@ -1,4 +1,4 @@
-"""A policy flies a UAV: it sees what it saw in the environment, and flies the same bits over processes and in one."""
+"""A policy as the pilot of a UAV: the observations of the environment, and the same bits in one process or several."""
 
 import copy
 import json
@@ -47,7 +47,7 @@ SETUPS: dict[str, dict[str, Any]] = {
 
 
 class Recorded:
-    """Flies about, and keeps what it observes."""
+    """A policy that flies about and records its observations."""
 
     def __init__(self, setup: dict[str, Any], length: float) -> None:
         self.setup = {**setup, "duration": length}
@@ -62,13 +62,13 @@ class Recorded:
 
 
 def with_policy(scenario: Scenario, law: str, name: str = NAME) -> Scenario:
-    """The scenario with a policy on board."""
+    """Return the scenario with a policy on board."""
     changed = msgspec.structs.replace(scenario.law, name=law)
     return msgspec.structs.replace(scenario, law=changed, custom=Custom(uav_policy=name))
 
 
 def flown_by(scenario: Scenario, policy: Recorded, seed: int) -> Flight:
-    """A run of law `policy` whose UAV this policy flies."""
+    """Fly a run of law `policy` whose UAV is flown by this policy."""
     law = msgspec.structs.replace(scenario.law, name="policy")
     flight = Flight(scenario, seed)
     others = make_pilots(scenario, seed)
@@ -80,7 +80,7 @@ def flown_by(scenario: Scenario, policy: Recorded, seed: int) -> Flight:
 @pytest.mark.parametrize("network", ["certified", "network", "wind"])
 @pytest.mark.parametrize("name", SETUPS)
 def test_a_pilots_observation_is_the_environments(name: str, network: str) -> None:
-    """To the bit without estimator; with the estimate, whose compiled filter rounds differently, to 1e-7."""
+    """Compare to the bit without estimator; with it to 1e-7, as the compiled filter rounds differently."""
     setup, exact = SETUPS[name], not SETUPS[name].get("estimate")
     flown = raw(SCENARIOS[network]) if exact else SCENARIOS[network]
     scenario = msgspec.structs.replace(flown, duration=10.0)
@@ -114,7 +114,7 @@ def test_before_a_detection_the_age_is_the_training_s_episode() -> None:
 
 
 @pytest.mark.parametrize("law", ["certified", "policy"])
-def test_the_shipped_policy_flies_a_run_as_it_flies_the_environment(law: str) -> None:
+def test_shipped_policy_flies_a_run_like_the_environment(law: str) -> None:
     flight, summary = fly(with_policy(ESCORT, law), 4)
     policy = LearnedPolicy.load(SHIPPED)
     settings = {"safety_filter": law == "certified", "end_on_sight_lost": False}
@@ -130,7 +130,7 @@ def test_the_shipped_policy_flies_a_run_as_it_flies_the_environment(law: str) ->
     assert (summary.certified_share is None) == (law == "policy")
 
 
-def test_inside_the_filter_sight_is_kept_whatever_the_policy_wants(
+def test_safety_filter_keeps_sight_around_any_policy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "flees.py").write_text("def act(seen):\n    return [[0.3, 0.0]] * len(seen)\n")
@@ -176,11 +176,11 @@ def test_each_of_several_uavs_has_a_memory_of_its_own() -> None:
     assert (uavs[:, 0] != uavs[:, 1]).any()
 
 
-# -- what a library has saved
+# -- saved policies of a library
 
 
 class Linear:
-    """A model as Stable-Baselines3 makes it."""
+    """A model like those of Stable-Baselines3."""
 
     def __init__(self, space: spaces.Space[Any]) -> None:
         self.observation_space = space
@@ -236,7 +236,7 @@ def test_a_saved_policy_acts_as_in_its_training(name: str, patch: Any) -> None:
             )
 
 
-def test_a_saved_policy_flies_a_run_and_says_where_its_ground_ends() -> None:
+def test_saved_policy_flies_a_run_and_reports_too_large_an_area() -> None:
     env = outrider.vector_env("escort", num_envs=1, end_on_sight_lost=False)
     env = Transformed(env, Stack(2))
     policy = SavedPolicy(Linear(env.single_observation_space), observation_recipe(env))
@@ -257,7 +257,7 @@ def test_a_saved_policy_flies_a_run_and_says_where_its_ground_ends() -> None:
 
 
 class Mine(Egocentric):
-    """A transformation of the user's own."""
+    """A transformation defined by the user."""
 
 
 def test_what_cannot_be_saved_with_a_policy_is_refused() -> None:

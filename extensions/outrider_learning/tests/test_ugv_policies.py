@@ -1,6 +1,6 @@
-"""Saved policies at the UGV's wheel: on the bus they see and do what they did in the environment.
+"""Saved policies that drive the UGV: over the bus they see and do the same as in the environment.
 
-The libraries need not be installed: stand-ins with the same calls lie on the path.
+The libraries need not be installed: stand-ins with the same interface are on the path.
 """
 
 import importlib
@@ -21,7 +21,7 @@ from bus.errors import ScenarioError
 from bus.messages.vehicle import UgvObservation
 from bus.policies import policy_kinds
 from bus.registry import resolve
-from flights import DT, told_ugv
+from flights import DT, ugv_briefing
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import fly
 from outrider.running.user_code import load_function, load_policy
@@ -40,12 +40,12 @@ from types import SimpleNamespace
 import numpy as np
 
 class PPO:
-    def __init__(self, told):
-        row = SimpleNamespace(shape=tuple(told["row"]), dtype=np.dtype(told["dtype"]), low=np.array(told["low"]))
-        parts = {name: SimpleNamespace(shape=tuple(shape)) for name, shape in told["pictures"].items()}
+    def __init__(self, saved):
+        row = SimpleNamespace(shape=tuple(saved["row"]), dtype=np.dtype(saved["dtype"]), low=np.array(saved["low"]))
+        parts = {name: SimpleNamespace(shape=tuple(shape)) for name, shape in saved["pictures"].items()}
         self.observation_space = SimpleNamespace(spaces={"row": row} | parts) if parts else row
-        self.action_space = SimpleNamespace(shape=tuple(told["action"]))
-        self.weights, self.seen, self.asked = np.array(told["weights"]), [], []
+        self.action_space = SimpleNamespace(shape=tuple(saved["action"]))
+        self.weights, self.seen, self.asked = np.array(saved["weights"]), [], []
 
     @classmethod
     def load(cls, path, device="auto"):
@@ -95,15 +95,15 @@ class InferenceSession:
     def __init__(self, path, options, providers):
         assert providers == ["CPUExecutionProvider"] and options.intra_op_num_threads == 1
         with open(path) as file:
-            self.told = json.load(file)
+            self.saved = json.load(file)
 
     def get_inputs(self):
-        shape = (*self.told["batch"], *self.told["row"])
-        return [SimpleNamespace(name="x", type=self.told["type"], shape=list(shape))] * self.told["inputs"]
+        shape = (*self.saved["batch"], *self.saved["row"])
+        return [SimpleNamespace(name="x", type=self.saved["type"], shape=list(shape))] * self.saved["inputs"]
 
     def run(self, outputs, given):
         assert outputs is None and given["x"].dtype == np.float64
-        return [np.tanh(given["x"] @ np.array(self.told["weights"]))]
+        return [np.tanh(given["x"] @ np.array(self.saved["weights"]))]
 """,
 }
 WEIGHTS = [
@@ -113,12 +113,12 @@ WEIGHTS = [
 LOW = [0.0, 0.0, 0.0, -0.5, -0.5, 0.0, 0.0, 0.0]
 SEEN = {"row": [8], "low": LOW, "pictures": {}, "dtype": "float64"}
 INPUT = {"batch": [], "inputs": 1, "type": "tensor(double)"}
-TOLD = SEEN | INPUT | {"action": [2], "weights": WEIGHTS}
+SAVED = SEEN | INPUT | {"action": [2], "weights": WEIGHTS}
 
 
 @pytest.fixture
 def _no_libraries(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """None of the libraries is there, and none that a test brings stays."""
+    """Hide the libraries, and remove those that a test installs."""
     for name in LIBRARIES:
         monkeypatch.setitem(sys.modules, name, None)
     yield
@@ -127,7 +127,7 @@ def _no_libraries(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture
 def here(_no_libraries: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The working folder, with the stand-ins and a policy for each."""
+    """Return the working folder, with the stand-ins and a policy for each."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     for name, body in STAND_INS.items():
@@ -135,16 +135,16 @@ def here(_no_libraries: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.delitem(sys.modules, name)
         monkeypatch.setitem(sys.modules, name, importlib.import_module(name))
     for file in ("model.zip", "model.pt", "model.onnx"):
-        (tmp_path / file).write_text(json.dumps(TOLD))
+        (tmp_path / file).write_text(json.dumps(SAVED))
     return tmp_path
 
 
-def tell(folder: Path, file: str, **changes: Any) -> None:
-    (folder / file).write_text(json.dumps(TOLD | changes))
+def rewrite(folder: Path, file: str, **changes: Any) -> None:
+    (folder / file).write_text(json.dumps(SAVED | changes))
 
 
 def _scenario(policy: str = "") -> Scenario:
-    """A UGV that is fast enough to pass its goals, and then some."""
+    """Return a UGV that is fast enough to pass its goals."""
     changes = {
         "duration": 60.0,
         "ugv.0.max_speed": 0.5,
@@ -167,7 +167,7 @@ def _seen(
 @pytest.mark.parametrize(
     "name", ["sb3:ppo:model.zip", "sb3:PPO:model.zip", "torch:model.pt", "onnx:model.onnx"]
 )
-def test_a_saved_policy_flies_the_same_bits_as_in_the_environment(here: Path, name: str) -> None:
+def test_saved_policy_flies_the_bits_of_the_environment(here: Path, name: str) -> None:
     scenario = _scenario(name)
     flight, _ = fly(scenario, 3)
     model, env = load_policy(name), outrider.parallel_env(_scenario(), end_on_sight_lost=False)
@@ -187,20 +187,20 @@ def test_a_saved_policy_flies_the_same_bits_as_in_the_environment(here: Path, na
         k += 1
     assert k == flight.recorder.ticks == scenario.ticks
     pace = np.hypot(*flight.recorder.states[:, 1, 2:4].T)
-    # the bounds of the world were met, and nothing else bent the action
+    # the bounds of the world were reached, and nothing else changed the action
     assert pace.max() == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_what_an_sb3_policy_is_asked(here: Path, dtype: str) -> None:
-    tell(here, "model.zip", dtype=dtype)
+    rewrite(here, "model.zip", dtype=dtype)
     model = load_policy("sb3:ppo:model.zip")
-    driver = PolicyDriver(told_ugv(), policy=model, name="x")
+    driver = PolicyDriver(ugv_briefing(), policy=model, name="x")
     for tick in range(3):
         driver.drive(_seen(tick))
     assert model.asked == [(None, True, True), (1, False, True), (2, False, True)]
     assert {row.dtype for row in model.seen} == {np.dtype(dtype)}
-    other = PolicyDriver(told_ugv(), policy=model, name="x")  # another UGV of the same process
+    other = PolicyDriver(ugv_briefing(), policy=model, name="x")  # another UGV of the same process
     other.drive(_seen(0))
     assert model.asked[-1] == (None, True, True)
 
@@ -223,7 +223,7 @@ def refusal(name: str) -> str:
         ("onnx:m.zip", "onnxruntime"),
     ],
 )
-def test_a_missing_library_is_named_with_the_command_that_installs_it(
+def test_missing_library_is_named_with_its_install_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, package: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -232,7 +232,7 @@ def test_a_missing_library_is_named_with_the_command_that_installs_it(
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"hello", json.dumps(TOLD).encode()[:-9], b"\xff\x00"], ids=range(4)
+    "content", [b"", b"hello", json.dumps(SAVED).encode()[:-9], b"\xff\x00"], ids=range(4)
 )
 @pytest.mark.parametrize("name", ["sb3:ppo:bad.zip", "torch:bad.zip", "onnx:bad.zip"])
 def test_a_damaged_file_is_named_in_one_line(here: Path, name: str, content: bytes) -> None:
@@ -241,15 +241,15 @@ def test_a_damaged_file_is_named_in_one_line(here: Path, name: str, content: byt
 
 
 @pytest.mark.parametrize(
-    ("names", "said"),
+    ("names", "phrase"),
     rows("""
 sb3:ppo:none.zip sb3:ppo: torch:none.pt torch: onnx:none.onnx onnx:. | no such file
 model.zip model.pt folder/model.onnx sb3:model.zip | sb3:ALGORITHM:FILE.zip
 sb3:ddq:model.zip | unknown algorithm 'ddq'; installed: ppo
 """),
 )
-def test_a_name_lacks_its_file_its_library_or_its_algorithm_in_one_line(here, names, said):
-    assert all(said in refusal(name) for name in words(names))
+def test_missing_file_library_or_algorithm_is_one_line(here, names, phrase):
+    assert all(phrase in refusal(name) for name in words(names))
 
 
 @pytest.mark.parametrize(
@@ -268,27 +268,29 @@ def test_a_name_lacks_its_file_its_library_or_its_algorithm_in_one_line(here, na
     ],
 )
 def test_a_policy_of_another_agent_is_refused_before_it_flies(here, name, changes):
-    tell(here, name.rpartition(":")[2], **changes)
+    rewrite(here, name.rpartition(":")[2], **changes)
     assert "allowed: " in refusal(name)
 
 
 @pytest.mark.parametrize("pictures", [{}, {"tiles": [21, 21]}], ids=str)
-def test_a_saved_policy_of_normalized_rows_is_refused_when_it_is_loaded(
+def test_saved_policy_with_normalized_rows_is_refused_on_load(
     here: Path, pictures: dict[str, Any]
 ) -> None:
     for low in (LOW, [-math.inf] * 8):
-        tell(here, "model.zip", low=low, pictures=pictures)
+        rewrite(here, "model.zip", low=low, pictures=pictures)
         assert load_policy("sb3:ppo:model.zip")
-    for low in ([-1.0] * 8, [0.0] * 8):  # as `normalized` scales them, and as SuperSuit does
-        tell(here, "model.zip", low=low, pictures=pictures)
+    for low in ([-1.0] * 8, [0.0] * 8):  # as scaled by `normalized` and by SuperSuit
+        rewrite(here, "model.zip", low=low, pictures=pictures)
         assert "not rows in SI units" in refusal("sb3:ppo:model.zip")
 
 
 @pytest.mark.parametrize("batch", [[], [1], ["batch"]], ids=str)
 def test_an_onnx_graph_may_want_a_batch(here: Path, batch: list[Any]) -> None:
-    tell(here, "model.onnx", batch=batch)
-    row = UgvRows(told_ugv()).row(_seen())
-    found = PolicyDriver(told_ugv(), policy=load_policy("onnx:model.onnx"), name="x").drive(_seen())
+    rewrite(here, "model.onnx", batch=batch)
+    row = UgvRows(ugv_briefing()).row(_seen())
+    found = PolicyDriver(ugv_briefing(), policy=load_policy("onnx:model.onnx"), name="x").drive(
+        _seen()
+    )
     assert found == tuple(np.tanh(row @ np.array(WEIGHTS)))
 
 

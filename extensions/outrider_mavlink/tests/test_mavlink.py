@@ -1,4 +1,4 @@
-"""A run told to ground stations over MAVLink: what is told is true, and what is asked in vain is counted."""
+"""A run over MAVLink: telemetry is true, and refused requests are counted."""
 
 import math
 import socket
@@ -39,7 +39,7 @@ UAV, UGV = 1, 2
 
 
 def ecef(latitude, longitude, height):
-    """Earth-centred coordinates [m] of a place on WGS 84."""
+    """Return the earth-centred coordinates [m] of a position on WGS 84."""
     phi, lam = math.radians(latitude), math.radians(longitude)
     e2 = F * (2.0 - F)
     n = A / math.sqrt(1.0 - e2 * math.sin(phi) ** 2)
@@ -53,7 +53,7 @@ def ecef(latitude, longitude, height):
 
 
 def enu(origin, place):
-    """East, north and up of a place in the plane that touches the ellipsoid at the origin [m]."""
+    """Return east, north and up of a position in the tangent plane at the origin [m]."""
     phi, lam = math.radians(origin.latitude), math.radians(origin.longitude)
     east = np.array([-math.sin(lam), math.cos(lam), 0.0])
     up = np.array([math.cos(phi) * math.cos(lam), math.cos(phi) * math.sin(lam), math.sin(phi)])
@@ -66,7 +66,7 @@ def enu(origin, place):
 def test_degrees_agree_with_earth_centred_coordinates(latitude, longitude, altitude, east, north):
     origin = Origin(latitude=latitude, longitude=longitude, altitude=altitude)
     found = geodetic(origin, east, north, 12.0)
-    # what a flat Earth leaves out: its curvature, the meridians that come together, and that all widens upwards
+    # errors of a flat Earth: curvature, converging meridians, and the expansion with height
     far = math.hypot(east, north)
     allowed = far * (far + 12.0) / A * (1.0 + abs(math.tan(math.radians(latitude)))) * 1.02
     assert np.abs(enu(origin, found) - (east, north, 12.0)).max() <= allowed + 1e-6
@@ -80,7 +80,7 @@ def test_an_origin_beyond_its_bounds_is_refused(field):
 
 
 class Station:
-    """A ground station: a socket, and pymavlink."""
+    """A ground station: a socket and pymavlink."""
 
     def __init__(self, gateway, number=255):
         self.gateway = gateway
@@ -93,15 +93,15 @@ class Station:
         self.parser = mavlink.MAVLink(None)
 
     def send(self, *messages, raw=b""):
-        """Say something, and let it be taken in; what is answered."""
+        """Send messages, let the gateway process them, and return the replies."""
         for message in messages:
             self.socket.sendto(message.pack(self.mav), self.to)
         if raw:
             self.socket.sendto(raw, self.to)
         self.gateway.turn(0.2)
-        return self.told()
+        return self.arrived()
 
-    def told(self):
+    def arrived(self):
         found = []
         while True:
             try:
@@ -111,24 +111,24 @@ class Station:
             found += self.parser.parse_buffer(data) or []
 
     def ask(self, command, *parameters, target=UAV):
-        """The result of a command."""
+        """Return the result of a command."""
         values = (*parameters, *[0.0] * 7)[:7]
         message = mavlink.MAVLink_command_long_message(target, 1, command, 0, *values)
-        (ack,) = of(self.send(message), "COMMAND_ACK")
+        (ack,) = select(self.send(message), "COMMAND_ACK")
         assert (ack.command, ack.target_system) == (command, self.number)
         return ack.result
 
 
-def of(messages, kind, system=None):
+def select(messages, kind, system=None):
     return [
         one for one in messages if one.get_type() == kind and system in (None, one.get_srcSystem())
     ]
 
 
 def texts(messages):
-    """The texts, each put together from its chunks."""
+    """Return the texts, each joined from its chunks."""
     parts = {}
-    for one in of(messages, "STATUSTEXT"):
+    for one in select(messages, "STATUSTEXT"):
         key = (one.get_srcSystem(), one.id or object())
         parts[key] = parts.get(key, "") + one.text
     return list(parts.values())
@@ -144,19 +144,19 @@ SCENARIO = load_scenario("escort")
 
 
 def status(**changes):
-    told = {"law": "certified", "drivers": {"ugv_0": "waypoints"}, "certified": {"uav_0": True}}
-    told |= {"geometry": geometry_of(SCENARIO), "vehicles": PRESENT}
-    return a_status(**told | changes)
+    fields = {"law": "certified", "drivers": {"ugv_0": "waypoints"}, "certified": {"uav_0": True}}
+    fields |= {"geometry": geometry_of(SCENARIO), "vehicles": PRESENT}
+    return a_status(**fields | changes)
 
 
 class Client:
-    """An operator's client, or an observer's: keeps what is said."""
+    """A client of an operator or observer that records the calls."""
 
     def __init__(self, may_steer=True):
-        self.may_steer, self.said, self.driven = may_steer, [], []
+        self.may_steer, self.controls, self.driven = may_steer, [], []
 
     def control(self, control):
-        self.said.append(control)
+        self.controls.append(control)
         return self.may_steer
 
     def drive(self, vehicle, drive):
@@ -164,12 +164,12 @@ class Client:
         return True
 
     def close(self):
-        self.said.append("closed")
+        self.controls.append("closed")
 
 
 @pytest.fixture(name="run")
 def a_run():
-    """A gateway that listens, and a ground station that it knows."""
+    """Yield a gateway that listens, and a ground station that it knows."""
     yield from opened(Client())
 
 
@@ -184,43 +184,45 @@ def opened(client):
     gateway = RunGateway(client, network, status(), first=1, height=10.0)
     gateway.take(status())
     station.gateway = gateway
-    gateway.turn(0.0)  # its first word binds its socket
+    gateway.turn(0.0)  # the first message binds its socket
     station.to = ("127.0.0.1", network._links[0].socket.getsockname()[1])
-    station.told()
+    station.arrived()
     yield SimpleNamespace(gateway=gateway, station=station, client=client)
     network.close()
     station.socket.close()
 
 
 def second_station(run):
-    """Another one at the same address, as behind a router of MAVLink's."""
+    """Return a second station at the same address, as behind a router of MAVLink."""
     run.station.mav.srcSystem = run.station.number = 254
     return run.station
 
 
-def test_both_vehicles_are_told_as_they_truly_are(run):
+def test_both_vehicles_are_reported_with_their_true_state(run):
     run.gateway.take(truth())
     run.gateway._timers = RunGateway(
         run.client, run.gateway.network, status(), first=1, height=10.0
     )._timers
-    told = run.station.send()
+    arrived = run.station.send()
     for system in (UAV, UGV):
-        numbers = [one.get_seq() for one in told if one.get_srcSystem() == system]
+        numbers = [one.get_seq() for one in arrived if one.get_srcSystem() == system]
         assert len(numbers) > 3
         assert numbers == [(numbers[0] + k) % 256 for k in range(len(numbers))]
-    assert {one.type for one in of(told, "HEARTBEAT", UAV)} == {mavlink.MAV_TYPE_QUADROTOR}
-    assert {one.type for one in of(told, "HEARTBEAT", UGV)} == {mavlink.MAV_TYPE_GROUND_ROVER}
-    (local,) = of(told, "LOCAL_POSITION_NED", UAV)
+    assert {one.type for one in select(arrived, "HEARTBEAT", UAV)} == {mavlink.MAV_TYPE_QUADROTOR}
+    assert {one.type for one in select(arrived, "HEARTBEAT", UGV)} == {
+        mavlink.MAV_TYPE_GROUND_ROVER
+    }
+    (local,) = select(arrived, "LOCAL_POSITION_NED", UAV)
     assert (local.x, local.y, local.z) == (12.0, 10.0, -10.0)  # north is y, east is x
     assert (local.vx, local.vy) == pytest.approx((-0.4, 0.3))
     assert local.time_boot_ms == 1000
-    (place,) = of(told, "GLOBAL_POSITION_INT", UAV)
+    (place,) = select(arrived, "GLOBAL_POSITION_INT", UAV)
     latitude, longitude, altitude = geodetic(Origin(), 10.0, 12.0, 10.0)
     assert (place.lat, place.lon) == (round(latitude * 1e7), round(longitude * 1e7))
     assert (place.alt, place.relative_alt) == (round(altitude * 1e3), 10_000)
     assert (place.vx, place.vy) == (-40, 30)
     assert place.hdg == round(math.degrees(math.atan2(0.3, -0.4)) * 100)
-    (attitude,) = of(told, "ATTITUDE", UAV)
+    (attitude,) = select(arrived, "ATTITUDE", UAV)
     assert attitude.yaw == pytest.approx(math.atan2(0.3, -0.4))
 
 
@@ -228,42 +230,44 @@ def test_the_ugv_alone_can_be_followed(run):
     run.gateway.take(truth())
     ask = mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET
     message = mavlink.MAVLink_command_long_message(0, 0, 512, 0, ask, *[0.0] * 6)
-    told = run.station.send(message)
-    assert {one.get_srcSystem() for one in of(told, "FOLLOW_TARGET")} == {UGV}
-    followed = of(told, "FOLLOW_TARGET")[0]
+    arrived = run.station.send(message)
+    assert {one.get_srcSystem() for one in select(arrived, "FOLLOW_TARGET")} == {UGV}
+    followed = select(arrived, "FOLLOW_TARGET")[0]
     latitude, longitude, _ = geodetic(Origin(), 10.0, 9.0)
     assert (followed.lat, followed.lon) == (round(latitude * 1e7), round(longitude * 1e7))
     assert followed.vel == pytest.approx([0.2, 0.0, 0.0])
     assert followed.acc == pytest.approx([0.05, 0.0, 0.0])
 
 
-def test_what_is_lost_or_not_certified_is_said_and_so_is_its_end(run, monkeypatch):
-    gone = PRESENT | {"uav_0": VehicleStatus(present=False)}
+def test_lost_sight_and_missing_certificate_are_reported(run, monkeypatch):
+    absent = PRESENT | {"uav_0": VehicleStatus(present=False)}
     why = NotCertified.MEASUREMENT_TOO_OLD
-    run.gateway.take(status(vehicles=gone, certified={"uav_0": False}, uncertified={"uav_0": why}))
+    run.gateway.take(
+        status(vehicles=absent, certified={"uav_0": False}, uncertified={"uav_0": why})
+    )
     run.gateway.take(truth(distance=4.8))
-    said = texts(run.station.told())
-    assert "uav_0: process disconnected" in said
-    assert f"not certified: {why.text}" in said
-    assert "ugv_0 is out of sight: distance 4.80 m, r_v 4.75 m" in said
+    reported = texts(run.station.arrived())
+    assert "uav_0: process disconnected" in reported
+    assert f"not certified: {why.text}" in reported
+    assert "ugv_0 is out of sight: distance 4.80 m, r_v 4.75 m" in reported
     assert run.gateway.systems[UAV].critical
     run.gateway.take(status())
     run.gateway.take(truth())
-    assert texts(run.station.told()) == []  # it has only just been said
+    assert texts(run.station.arrived()) == []  # reported only just before
     monkeypatch.setattr("outrider_mavlink.gateway._SETTLE", 0.0)
     run.gateway.take(status())
     run.gateway.take(truth())
     again = ["uav_0: process reconnected", "certified again", "ugv_0 is in sight again"]
-    assert texts(run.station.told()) == again
+    assert texts(run.station.arrived()) == again
     assert not run.gateway.systems[UAV].critical
 
 
 @pytest.mark.parametrize("length", [1, 49, 50, 51, 99, 100, 101, 500])
 def test_a_text_of_any_length_arrives_whole(run, length):
     run.gateway.say(run.gateway.systems[UAV], "x" * length)
-    told = run.station.told()
-    assert texts(told) == ["x" * length]
-    assert length <= 50 or len(of(told, "STATUSTEXT")[-1].text) < 50  # by which its end is known
+    arrived = run.station.arrived()
+    assert texts(arrived) == ["x" * length]
+    assert length <= 50 or len(select(arrived, "STATUSTEXT")[-1].text) < 50  # which marks the end
 
 
 def test_each_command_is_answered(run):
@@ -284,14 +288,16 @@ def test_each_command_is_answered(run):
 
 
 def test_the_runs_settings_are_parameters(run):
-    listed = of(run.station.send(mavlink.MAVLink_param_request_list_message(UAV, 1)), "PARAM_VALUE")
+    listed = select(
+        run.station.send(mavlink.MAVLink_param_request_list_message(UAV, 1)), "PARAM_VALUE"
+    )
     values = {one.param_id: one.param_value for one in listed}
     assert [one.param_index for one in listed] == list(range(listed[0].param_count))
     assert values["VIS_RADIUS"] == 4.75
     assert values["DT"] == pytest.approx(0.05)
     assert values["MAX_SPEED"] == pytest.approx(0.6)
     read = mavlink.MAVLink_param_request_read_message(UGV, 1, b"MAX_SPEED", -1)
-    (one,) = of(run.station.send(read), "PARAM_VALUE")
+    (one,) = select(run.station.send(read), "PARAM_VALUE")
     assert one.param_value == pytest.approx(0.2)
     assert not run.station.send(mavlink.MAVLink_param_request_read_message(UGV, 1, b"NO", -1))[1:]
     assert run.gateway.refusals.counts == {NOT_SUPPORTED: 1}
@@ -301,12 +307,12 @@ def set_parameter(name, value):
     return mavlink.MAVLink_param_set_message(UAV, 1, name.encode(), value, 9)
 
 
-def test_an_operator_pauses_hastens_and_changes_the_law_by_parameters(run):
-    (answer,) = of(run.station.send(set_parameter("PAUSED", 1.0)), "PARAM_VALUE")
+def test_operator_sets_pause_speed_and_law_by_parameters(run):
+    (answer,) = select(run.station.send(set_parameter("PAUSED", 1.0)), "PARAM_VALUE")
     assert answer.param_value == 1.0
     run.station.send(set_parameter("RT_FACTOR", 2.0))
     run.station.send(set_parameter("LAW", 0.0))
-    actions = [(one.action, one.factor) for one in run.client.said]
+    actions = [(one.action, one.factor) for one in run.client.controls]
     assert actions == [(Action.PAUSE, None), (Action.SPEED, 2.0), (Action.LAW, None)]
 
 
@@ -321,12 +327,12 @@ def test_an_operator_pauses_hastens_and_changes_the_law_by_parameters(run):
         ("NOTHING", 9.0, NOT_SUPPORTED),
     ],
 )
-def test_a_parameter_that_cannot_be_set_is_refused_and_told_as_it_is(run, name, value, cause):
+def test_invalid_parameter_is_refused_and_reported_unchanged(run, name, value, cause):
     answer = run.station.send(set_parameter(name, value))
     assert run.gateway.refusals.counts == {cause: 1}
-    assert run.client.said == []
+    assert run.client.controls == []
     assert any(cause in text for text in texts(answer))
-    for one in of(answer, "PARAM_VALUE"):
+    for one in select(answer, "PARAM_VALUE"):
         assert one.param_value == pytest.approx(
             run.gateway.parameters(run.gateway.systems[UAV])[name]
         )
@@ -336,11 +342,11 @@ def sticks(north, east, target=UGV):
     return mavlink.MAVLink_manual_control_message(target, north, east, 0, 0, 0)
 
 
-def test_the_sticks_drive_a_ugv_north_and_east_and_the_first_touch_takes_the_wheel(run):
+def test_sticks_drive_the_ugv_and_first_deflection_takes_control(run):
     run.station.send(sticks(0, 0))
-    assert (run.client.said, run.client.driven) == ([], [])  # it is only there
+    assert (run.client.controls, run.client.driven) == ([], [])  # the station is only connected
     run.station.send(sticks(500, 0))
-    (taken,) = run.client.said
+    (taken,) = run.client.controls
     assert (taken.action, taken.vehicle, taken.driver) == (Action.DRIVER, "ugv_0", "teleop")
     run.gateway.take(status(drivers={"ugv_0": "teleop"}))
     for north, east, wanted in ((500, 0, (0.0, 0.1)), (0, 1000, (0.2, 0.0)), (0, 0, (0.0, 0.0))):
@@ -349,10 +355,10 @@ def test_the_sticks_drive_a_ugv_north_and_east_and_the_first_touch_takes_the_whe
     run.station.send(sticks(1000, -1000))
     assert math.hypot(*run.client.driven[-1][1].velocity) == pytest.approx(0.2)
     run.gateway.close()
-    assert run.client.said[-2].driver == "waypoints"  # whose wheel it was
+    assert run.client.controls[-2].driver == "waypoints"  # the previous driver
 
 
-def test_a_second_ground_station_is_refused_until_the_first_falls_silent(run, monkeypatch):
+def test_second_ground_station_waits_until_the_first_is_silent(run, monkeypatch):
     run.station.send(sticks(500, 0))
     first = list(run.client.driven)
     second = second_station(run)
@@ -405,16 +411,16 @@ def test_services_that_a_run_does_not_have_reply(run):
     total = 0
     for reply, requests in asked.items():
         for request in requests:
-            (answer,) = of(run.station.send(request), reply)
+            (answer,) = select(run.station.send(request), reply)
             total += 1
             if reply == "MISSION_ACK":
                 assert answer.type == mavlink.MAV_MISSION_UNSUPPORTED
     assert list(answer.payload[:13]) == [2, 0, 3, 129, 1, 10, 0, 0, 4, 0, 0, 0, 7]
     erased = run.station.send(mavlink.MAVLink_log_erase_message(UAV, 1))
     assert texts(erased) == ["rejected: there are no logs to erase"]
-    files[3] = 128  # a reply, to which another one would be no end
+    files[3] = 128  # a reply, which a further reply would never end
     again = run.station.send(mavlink.MAVLink_file_transfer_protocol_message(0, UAV, 1, files))
-    assert not of(again, "FILE_TRANSFER_PROTOCOL")
+    assert not select(again, "FILE_TRANSFER_PROTOCOL")
     run.station.send(mavlink.MAVLink_request_data_stream_message(UAV, 1, 0, 4, 1))
     wanted = {f"service {NOT_SUPPORTED}": total + 2, f"message {NOT_SUPPORTED}": 1}
     assert run.gateway.refusals.counts == wanted
@@ -454,7 +460,7 @@ class Counted:
 
 
 def frame(number, payload, crc_extra):
-    """A whole message with these bytes in it."""
+    """Return a complete message with this payload."""
     head = struct.pack("<BBBBBBHB", len(payload), 0, 0, 0, 255, 190, number & 0xFFFF, number >> 16)
     crc = mavlink.x25crc(head + payload + bytes([crc_extra])).crc
     return b"\xfd" + head + payload + struct.pack("<H", crc)
@@ -479,7 +485,7 @@ def test_an_observer_only_watches(watched):
     watched.station.send(sticks(500, 0), set_parameter("PAUSED", 1.0))
     assert watched.station.ask(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 1.0, target=UGV) == 2  # denied
     assert watched.gateway.refusals.counts == {NOT_ALLOWED: 3}
-    assert (watched.client.said, watched.client.driven) == ([], [])
+    assert (watched.client.controls, watched.client.driven) == ([], [])
 
 
 @pytest.mark.parametrize(
@@ -490,8 +496,8 @@ def test_an_address_that_is_none_is_named(text):
         parse_address(text, listens=False)
 
 
-def test_who_is_not_the_party_that_is_told_is_not_read(run):
-    """A socket that sends to one ground station is reached by every process of the host, and of the network."""
+def test_messages_of_another_sender_are_not_read(run):
+    """The socket of a ground station is reachable for every process of the host, and of the network."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.sendto(sticks(500, 0).pack(run.station.mav), run.station.to)
         run.gateway.turn(0.5)
@@ -501,7 +507,7 @@ def test_who_is_not_the_party_that_is_told_is_not_read(run):
     assert run.client.driven
 
 
-def test_the_first_line_says_to_whom_telemetry_goes(command):
+def test_first_line_names_the_telemetry_target(command):
     def first_line(*options):
         refused = command("mavlink", *options, "--credentials", "nowhere.json")
         assert refused.returncode == 2

@@ -1,11 +1,11 @@
-"""An autopilot as the inner loop of a UAV; a loop of a few lines stands in for it, as no autopilot is to be had."""
+"""An autopilot as the inner loop of a UAV; a short loop stands in for a real autopilot."""
 
 import logging
 import math
 
 import msgspec
 import pytest
-from test_mavlink import Station, of, texts
+from test_mavlink import Station, select, texts
 
 from bus.errors import ScenarioError
 from bus.messages.vehicle import UavObservation
@@ -29,14 +29,14 @@ START = (7.0, -3.0, -12.0)
 
 
 class Autopilot(Station):
-    """Goes where it is told, and says where it is."""
+    """Moves to its setpoints and reports its position."""
 
     def __init__(self, link, port):
         super().__init__(link, number=42)
         self.mav.srcComponent = 1
         self.to = ("127.0.0.1", port)
         self.boot, self.place, self.velocity = 0, START, (0.0, 0.0)
-        self.setpoints, self.asked = [], []
+        self.setpoints, self.requests = [], []
 
     def heartbeat(self, armed=True):
         flags = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
@@ -45,7 +45,7 @@ class Autopilot(Station):
     def report(self, **changes):
         self.boot += 50
         (x, y, z), (v_x, v_y) = self.place, self.velocity
-        told = {
+        fields = {
             "time_boot_ms": self.boot % (1 << 32),
             "x": x,
             "y": y,
@@ -54,13 +54,13 @@ class Autopilot(Station):
             "vy": v_y,
             "vz": 0.0,
         }
-        return mavlink.MAVLink_local_position_ned_message(*(told | changes).values())
+        return mavlink.MAVLink_local_position_ned_message(*(fields | changes).values())
 
     def live(self, *, moves=True):
-        """Receive what it is to do, do it, and tell."""
-        told = self.told()
-        self.asked += of(told, "COMMAND_LONG")
-        for one in of(told, "SET_POSITION_TARGET_LOCAL_NED"):
+        """Receive setpoints, move to them, and report."""
+        arrived = self.arrived()
+        self.requests += select(arrived, "COMMAND_LONG")
+        for one in select(arrived, "SET_POSITION_TARGET_LOCAL_NED"):
             self.setpoints.append(one)
             if moves:
                 self.place, self.velocity = (one.x, one.y, one.z), (one.vx, one.vy)
@@ -68,7 +68,7 @@ class Autopilot(Station):
 
 
 class Along:
-    """A flight in this process with an autopilot that flies along."""
+    """A flight in this process with an autopilot."""
 
     def __init__(self, *changes):
         self.scenario = load_scenario("escort", overrides=[*CHANGES, *changes])
@@ -80,8 +80,8 @@ class Along:
         self.reports = []
 
     def fly(self, each_tick=lambda _tick: None, *, moves=lambda _tick: True):
-        told = self.autopilot.send(self.autopilot.heartbeat(), self.autopilot.report())
-        self.autopilot.asked += of(told, "COMMAND_LONG")
+        arrived = self.autopilot.send(self.autopilot.heartbeat(), self.autopilot.report())
+        self.autopilot.requests += select(arrived, "COMMAND_LONG")
 
         def act(seen):
             each_tick(seen.tick)
@@ -116,14 +116,14 @@ def same_bits(flight, plain):
     return flight.recorder.states.tobytes() == plain.recorder.states.tobytes()
 
 
-def test_an_autopilot_that_holds_what_it_is_told_changes_no_bit(along, plain):
+def test_autopilot_that_tracks_its_setpoints_changes_no_bit(along, plain):
     flight = along.fly()
     assert same_bits(flight, plain)
     assert along.pilot.held_ticks == 0
-    assert 0.0 < along.pilot.largest_deviation < 0.1  # it is told a tick later
+    assert 0.0 < along.pilot.largest_deviation < 0.1  # it receives them a tick later
     assert along.reports[-1].decision.certified
-    asked = {(one.command, one.param1) for one in along.autopilot.asked}
-    assert asked == {(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 32.0)}
+    requests = {(one.command, one.param1) for one in along.autopilot.requests}
+    assert requests == {(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 32.0)}
 
 
 def test_setpoints_are_the_track_from_where_the_autopilot_hovers(along, plain):
@@ -138,7 +138,7 @@ def test_setpoints_are_the_track_from_where_the_autopilot_hovers(along, plain):
     assert (last.target_system, last.type_mask) == (42, 0b110_000_000_000)
 
 
-def test_one_that_stays_behind_is_waited_for_and_nothing_is_certified_meanwhile(along, caplog):
+def test_run_waits_uncertified_for_a_lagging_autopilot(along, caplog):
     with caplog.at_level(logging.WARNING):
         flight = along.fly(moves=lambda tick: not 40 <= tick < 200)
     assert (
@@ -147,14 +147,14 @@ def test_one_that_stays_behind_is_waited_for_and_nothing_is_certified_meanwhile(
     )
     assert "the autopilot tracks the reference state" in caplog.text
     assert 0 < along.pilot.held_ticks < 200
-    held = [one for one in along.reports if one is not None and one.decision is None]
-    assert len(held) >= along.pilot.held_ticks - 1
+    waiting = [one for one in along.reports if one is not None and one.decision is None]
+    assert len(waiting) >= along.pilot.held_ticks - 1
     assert along.reports[-1].decision.certified
     assert distances(flight).max() < 4.75
     assert flight.answers.assurance.certificate_broken == 0
 
 
-def test_one_that_is_silent_or_not_armed_is_waited_for(along, monkeypatch):
+def test_run_waits_for_a_silent_or_unarmed_autopilot(along, monkeypatch):
     along.fly()
     where = along.pilot._link.reference.position
     assert along.link.deviation(where) < 0.1
@@ -193,7 +193,7 @@ def test_bad_telemetry_is_counted_by_cause_and_changes_no_bit(along, plain):
     assert dict(along.link.refusals.counts) == wanted
 
 
-def believed(along, **changes):
+def accepted(along, **changes):
     """Return whether telemetry of this kind is accepted."""
     along.link.turn(0.0)
     before = along.link.reports
@@ -201,21 +201,21 @@ def believed(along, **changes):
     return along.link.reports > before
 
 
-def test_an_autopilot_that_restarts_is_believed_again(along, monkeypatch):
+def test_restarted_autopilot_is_accepted_again(along, monkeypatch):
     along.fly()
-    assert believed(along)
+    assert accepted(along)
     late = along.autopilot.report(time_boot_ms=7)
     (why,) = texts(along.autopilot.send(late))
     assert why == f"rejected: telemetry {OLDER}; accepted after 1 s without telemetry"
     monkeypatch.setattr(module, "_TELEMETRY_TIMEOUT", -1.0)  # as after a second of silence
-    assert believed(along, time_boot_ms=7)
+    assert accepted(along, time_boot_ms=7)
     other = Autopilot(along.link, along.autopilot.to[1])
     (why,) = texts(other.send(other.heartbeat()))
     assert OTHER_AUTOPILOT in why
     assert why.endswith("accepted after 3 s of silence")
     monkeypatch.setattr(module, "_PEER_TIMEOUT", -1.0)
-    told = other.send(other.heartbeat(), other.report())
-    assert of(told, "COMMAND_LONG")  # it does not know what it was asked for
+    arrived = other.send(other.heartbeat(), other.report())
+    assert select(arrived, "COMMAND_LONG")  # the new station has no requests yet
     assert along.link.peer.address[1] == other.port
     assert along.link.armed
     other.socket.close()
@@ -223,13 +223,13 @@ def test_an_autopilot_that_restarts_is_believed_again(along, monkeypatch):
 
 def test_a_silent_autopilot_is_asked_again_for_telemetry(along, monkeypatch):
     along.fly()
-    along.autopilot.told()
+    along.autopilot.arrived()
     monkeypatch.setattr(module, "_HEARTBEAT", 0.0)
     along.link.refresh()
-    assert not of(along.autopilot.told(), "COMMAND_LONG")
+    assert not select(along.autopilot.arrived(), "COMMAND_LONG")
     monkeypatch.setattr(module, "_TELEMETRY_TIMEOUT", -1.0)
     along.link.refresh()
-    assert of(along.autopilot.told(), "COMMAND_LONG")
+    assert select(along.autopilot.arrived(), "COMMAND_LONG")
 
 
 def test_no_other_system_becomes_the_autopilot(along, monkeypatch):
@@ -245,21 +245,21 @@ def test_no_other_system_becomes_the_autopilot(along, monkeypatch):
 
 def test_the_clock_of_an_autopilot_may_roll_over(along):
     along.fly()
-    assert believed(along, time_boot_ms=(1 << 31) + 5_000)
-    assert believed(along, time_boot_ms=(1 << 32) - 10)
-    assert believed(along, time_boot_ms=40)
-    assert not believed(along, time_boot_ms=(1 << 32) - 10)
+    assert accepted(along, time_boot_ms=(1 << 31) + 5_000)
+    assert accepted(along, time_boot_ms=(1 << 32) - 10)
+    assert accepted(along, time_boot_ms=40)
+    assert not accepted(along, time_boot_ms=(1 << 32) - 10)
 
 
 def test_a_run_that_declares_no_deviation_is_refused():
     pilot = AutopilotPilot(AutopilotLink(Network()))
-    told = make_pilots(load_scenario("escort"), 0)["uav_0"]._briefing
-    assert msgspec.to_builtins(told)["safety"]["max_tracking_error"] == 0.0
+    arrived = make_pilots(load_scenario("escort"), 0)["uav_0"]._briefing
+    assert msgspec.to_builtins(arrived)["safety"]["max_tracking_error"] == 0.0
     with pytest.raises(ScenarioError, match=r"--set certificate\.max_tracking_error=0\.3"):
-        pilot.make(told)
+        pilot.make(arrived)
 
 
-def test_the_past_that_a_process_is_told_when_it_joins_again_is_not_told_to_the_autopilot(along):
+def test_past_replayed_on_rejoin_is_not_sent_to_the_autopilot(along):
     along.fly()
     pilot, seen = along.pilot, make_pilots(along.scenario, 0)["uav_0"]._briefing
     pilot.make(seen)
@@ -272,14 +272,14 @@ def test_the_past_that_a_process_is_told_when_it_joins_again_is_not_told_to_the_
     pilot.act(now)
     pilot.prepare()
     assert along.link.reference.position == (9.0, 8.0)
-    assert along.link.deviation((9.0, 8.0)) == 0.0  # it is where its UAV is
+    assert along.link.deviation((9.0, 8.0)) == 0.0  # the deviation from its own position
 
 
-def test_a_run_that_stands_still_wants_the_autopilot_to_stay(along, monkeypatch):
+def test_paused_run_commands_the_autopilot_to_stay(along, monkeypatch):
     along.fly()
     monkeypatch.setattr(module, "_PAUSED", -1.0)
     monkeypatch.setattr(module, "_RESEND", 0.0)
-    along.autopilot.told()
+    along.autopilot.arrived()
     along.link.refresh()
-    (one,) = of(along.autopilot.told(), "SET_POSITION_TARGET_LOCAL_NED")
+    (one,) = select(along.autopilot.arrived(), "SET_POSITION_TARGET_LOCAL_NED")
     assert (one.vx, one.vy, one.afx, one.afy) == (0.0, 0.0, 0.0, 0.0)

@@ -1,10 +1,10 @@
-"""A UAV flown by MAVLink's setpoints: inside the safety filter, and to the same bits whatever else is sent."""
+"""A UAV flown by MAVLink setpoints: inside the safety filter, and to the same bits whatever else is sent."""
 
 import math
 
 import numpy as np
 import pytest
-from test_mavlink import Station, of, second_station, texts
+from test_mavlink import Station, second_station, select, texts
 
 from bus.messages.scenario import Limits, Origin
 from flights import distances, flown_by
@@ -47,7 +47,7 @@ def target(
     system=1,
     component=1,
 ):
-    """A SET_POSITION_TARGET_LOCAL_NED: north, east, down."""
+    """Return a SET_POSITION_TARGET_LOCAL_NED: north, east, down."""
     return mavlink.MAVLink_set_position_target_local_ned_message(
         0, system, component, frame, mask, 0.0, 0.0, 0.0, *velocity, *acceleration, 0.0, 0.0
     )
@@ -61,7 +61,7 @@ def test_a_setpoint_is_read_by_its_type_mask():
     assert read_setpoint(target((0.1, -0.2, 0.0), mask=0x0FC7), LIMITS).velocity == (
         -0.2,
         0.1,
-    )  # DroneKit's
+    )  # from DroneKit
     other = target((math.nan,) * 3, (0.3, 0.0, 0.0), mask=ACCELERATION)
     assert read_setpoint(other, LIMITS) == Setpoint(None, (0.0, 0.3))
     as_fast_as_it_goes = float(np.float32(0.6))
@@ -84,7 +84,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("message", "cause"), BAD)
-def test_a_setpoint_that_cannot_be_flown_is_refused_with_its_cause(message, cause):
+def test_infeasible_setpoint_is_refused_with_its_cause(message, cause):
     with pytest.raises(Refused) as refused:
         read_setpoint(message, LIMITS)
     assert refused.value.cause == cause
@@ -102,7 +102,7 @@ class Run:
         self.gateway = self.station.gateway = OffboardGateway(self.pilot, self.network, system)
         self.gateway.say(system, "here")
         self.station.to = ("127.0.0.1", self.network._links[0].socket.getsockname()[1])
-        self.station.told()
+        self.station.arrived()
 
     def fly(self, each_tick=lambda _tick: None):
         def act(seen):
@@ -139,7 +139,7 @@ def test_without_a_setpoint_the_law_flies_to_the_same_bits(run, plain):
     assert run.pilot.setpoint_ticks == 0
 
 
-def test_bad_messages_change_no_bit_and_each_is_counted_by_its_cause(run, plain):
+def test_bad_messages_are_counted_by_cause_and_change_no_bit(run, plain):
     run.pilot.mode = OFFBOARD
     others = [
         (target(system=9), OTHER_SYSTEM),
@@ -176,7 +176,7 @@ def test_setpoints_fly_the_uav(run):
 
     run.fly(each_tick)
     assert flown[99].observation.velocity == pytest.approx((0.0, 0.2), abs=1e-6)
-    assert run.pilot.setpoint_ticks == 100 + 10  # the last one counts for the scenario's hold
+    assert run.pilot.setpoint_ticks == 100 + 10  # the last setpoint counts for the command timeout
     assert run.pilot.interventions == 0
 
 
@@ -184,11 +184,13 @@ def test_flying_away_is_stopped_by_the_filter(run):
     run.pilot.mode = OFFBOARD
     flight, summary = run.fly(lambda _tick: run.pilot.set_setpoint(Setpoint((-0.6, 0.0), None)))
     assert distances(flight).max() < 4.75
-    assert distances(flight)[-1] > 3.0  # it did try
+    assert distances(flight)[-1] > 3.0  # it tried to leave
     assert run.pilot.interventions > 50
     assert summary.certified_share == 1.0
     run.gateway.refresh()
-    assert "the safety filter acts: the UGV would be lost from sight" in texts(run.station.told())
+    assert "the safety filter acts: the UGV would be lost from sight" in texts(
+        run.station.arrived()
+    )
 
 
 def test_a_law_without_a_filter_gets_one_when_setpoints_may_come():
@@ -201,15 +203,15 @@ def test_a_law_without_a_filter_gets_one_when_setpoints_may_come():
     run.close()
 
 
-def test_hold_stops_the_uav(run):
+def test_mode_hold_stops_the_uav(run):
     run.pilot.mode = HOLD
     run.fly()
-    assert math.hypot(*run.pilot.flown.observation.velocity) < 0.25  # as its UGV drives on
+    assert math.hypot(*run.pilot.flown.observation.velocity) < 0.25  # while its UGV drives on
     assert run.pilot.setpoint_ticks == 0
 
 
-def test_a_ground_station_changes_modes_and_a_second_one_does_not(run):
-    assert of(run.station.send(target()), "COMMAND_ACK") == []
+def test_only_the_first_ground_station_changes_modes(run):
+    assert select(run.station.send(target()), "COMMAND_ACK") == []
     assert run.gateway.refusals.counts == {TOO_EARLY: 1}
     run.fly()
     assert offboard(run) == mavlink.MAV_RESULT_ACCEPTED
@@ -227,15 +229,19 @@ def test_a_ground_station_changes_modes_and_a_second_one_does_not(run):
     assert (run.pilot.mode, run.pilot._setpoint) == (OFFBOARD, before)
 
 
-def test_the_uav_tells_what_it_knows_itself_and_not_the_truth(run):
+def test_uav_reports_its_own_knowledge_and_not_the_truth(run):
     run.fly()
     run.gateway.refresh()
-    told = run.station.send(mavlink.MAVLink_param_request_list_message(1, 1))
+    arrived = run.station.send(mavlink.MAVLink_param_request_list_message(1, 1))
     seen, report = run.pilot.flown.observation, run.pilot.flown.command.report
-    (local,) = of(told, "LOCAL_POSITION_NED")
+    (local,) = select(arrived, "LOCAL_POSITION_NED")
     assert (local.y, local.x) == pytest.approx(seen.position)
-    (followed,) = of(told, "FOLLOW_TARGET")
-    assert followed.est_capabilities == 1  # a position, and nothing of the UGV's velocity
+    (followed,) = select(arrived, "FOLLOW_TARGET")
+    assert followed.est_capabilities == 1  # a position, but not the UGV's velocity
     assert followed.position_cov[1] == pytest.approx(report.covariance[0])
-    assert {one.param_id for one in of(told, "PARAM_VALUE")} >= {"HOLD", "VIS_RADIUS", "MAX_SPEED"}
+    assert {one.param_id for one in select(arrived, "PARAM_VALUE")} >= {
+        "HOLD",
+        "VIS_RADIUS",
+        "MAX_SPEED",
+    }
     assert run.gateway.systems[1].mode is MISSION

@@ -1,4 +1,4 @@
-"""Exceedance probabilities of declared bounds: against all outcomes of tiny runs, and frequencies over the link."""
+"""Exceedance probabilities of declared bounds, against all outcomes of tiny runs and frequencies over the link."""
 
 import functools
 import importlib
@@ -39,12 +39,12 @@ DT = 0.05
 RUNS = 10_000
 FEW = settings(PROPERTY, max_examples=20)
 BURSTS = {"burst_length": 0.2, "burst_interval": 0.5, "burst_loss": 0.8}
-DARK = {"blackout_interval": 5.0, "blackout_length": 0.52}
+BLACKOUTS = {"blackout_interval": 5.0, "blackout_length": 0.52}
 SLOW = LinkSettings(bandwidth=15.0)
 LATE = {"jitter": 0.1, "jitter_shape": "exponential", "max_jitter": 0.4}
 
 
-LOOKS: dict[str, Any] = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "ticks": 200}
+DETECTIONS: dict[str, Any] = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "ticks": 200}
 PACKETS: dict[str, Any] = {"dt": DT, "delay_ticks": 4, "repeats": 6, "ticks": 200}
 
 
@@ -58,7 +58,7 @@ def flown(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 def outcomes(
     link: LinkSettings, ticks: int, dropout: float = 0.0
 ) -> tuple[tuple[tuple[bool, ...], float], ...]:
-    """Every pattern of messages that get through, one a tick, with its chance: bursts are summed over by hand."""
+    """Return each pattern of received messages, one a tick, with its probability, summed over burst states."""
     p = link_parameters(link, DT)
     turn = np.array([[1.0 - p.bad_enter, p.bad_enter], [1.0 - p.bad_stay, p.bad_stay]])
     through = (1.0 - dropout) * (1.0 - link.loss) * np.array([1.0, 1.0 - link.burst_loss])
@@ -73,12 +73,12 @@ def outcomes(
 
 
 def arrivals(got: tuple[bool, ...], flies: int) -> list[float]:
-    """When each message arrives that was sent in its tick; infinite: never."""
+    """Return the arrival tick of the message sent in each tick; infinite if it is lost."""
     return [tick + flies if came else math.inf for tick, came in enumerate(got)]
 
 
 def grows_old(arrives: list[float], period: int, age: int) -> bool:
-    """True if the newest detection is ever older than `age`."""
+    """Return whether the newest detection is ever older than `age`."""
     for tick in range(len(arrives)):
         arrived = [k for k in range(0, tick + 1, period) if arrives[k] <= tick]
         if arrived and tick - arrived[-1] > age:
@@ -86,10 +86,10 @@ def grows_old(arrives: list[float], period: int, age: int) -> bool:
     return False
 
 
-def is_interrupted(arrives: list[float], delay: int, repeats: int, outage: int) -> bool:
-    """True if some motion is followed too late, by the protocol as a pilot and a receiver play it."""
-    chain, flown, begun = 0, -1, delay - 1
-    packets: list[dict[int, int]] = []  # motion: its parent
+def is_interrupted(arrives: list[float], delay: int, repeats: int, interval: int) -> bool:
+    """Return whether a trajectory is ever replaced too late, by the protocol of pilot and receiver."""
+    chain, flown, started = 0, -1, delay - 1
+    packets: list[dict[int, int]] = []  # trajectory: its parent
     parents: dict[int, int] = {}
     for tick in range(len(arrives)):
         if tick - 1 - delay >= chain and flown != tick - 1 - delay:
@@ -99,8 +99,8 @@ def is_interrupted(arrives: list[float], delay: int, repeats: int, outage: int) 
         known = [packets[k] for k in range(tick + 1) if arrives[k] <= tick]
         due = tick - delay
         if any(packet.get(due, -2) == flown for packet in known):
-            flown, begun = due, tick
-        elif tick - begun >= outage:
+            flown, started = due, tick
+        elif tick - started >= interval:
             return True
     return False
 
@@ -109,9 +109,11 @@ def is_interrupted(arrives: list[float], delay: int, repeats: int, outage: int) 
 @pytest.mark.parametrize(
     ("period", "flies", "age"), [(1, 0, 2), (1, 1, 3), (2, 0, 2), (3, 1, 4), (2, 2, 1), (1, 0, 0)]
 )
-def test_the_chance_of_an_age_is_that_of_all_outcomes(link, period, flies, age) -> None:
-    told = LinkSettings(delay=flies * DT, **link)
-    chance = age_exceedance(told, dt=DT, period_ticks=period, dropout=0.1, ticks=10, age=age * DT)
+def test_age_chance_matches_all_outcomes(link, period, flies, age) -> None:
+    delayed = LinkSettings(delay=flies * DT, **link)
+    chance = age_exceedance(
+        delayed, dt=DT, period_ticks=period, dropout=0.1, ticks=10, age=age * DT
+    )
     found = sum(
         p
         for got, p in outcomes(LinkSettings(**link), 10, 0.1)
@@ -123,18 +125,23 @@ def test_the_chance_of_an_age_is_that_of_all_outcomes(link, period, flies, age) 
 
 @pytest.mark.parametrize("link", [{"loss": 0.3}, {"loss": 0.1, **BURSTS}])
 @pytest.mark.parametrize(
-    ("flies", "delay", "repeats", "outage"),
+    ("flies", "delay", "repeats", "interval"),
     [
         *((0, 0, 6, 2), (0, 1, 6, 1), (0, 2, 2, 4), (1, 2, 6, 5)),
         *((1, 3, 2, 4), (2, 2, 1, 3), (0, 3, 6, 2), (2, 1, 6, 4)),
     ],
 )
-def test_the_chance_of_an_outage_is_that_of_all_outcomes(link, flies, delay, repeats, outage):
-    told = LinkSettings(delay=flies * DT, **link)
+def test_command_gap_chance_matches_all_outcomes(link, flies, delay, repeats, interval):
+    delayed = LinkSettings(delay=flies * DT, **link)
     chance = command_interval_exceedance(
-        told, dt=DT, delay_ticks=delay, repeats=repeats, ticks=11, max_command_interval=outage * DT
+        delayed,
+        dt=DT,
+        delay_ticks=delay,
+        repeats=repeats,
+        ticks=11,
+        max_command_interval=interval * DT,
     )
-    numbers = (delay, repeats, outage)
+    numbers = (delay, repeats, interval)
     found = sum(
         p
         for got, p in outcomes(LinkSettings(**link), 11)
@@ -148,29 +155,29 @@ AGES: list[tuple[dict[str, Any], int, float]] = [
     ({"loss": 0.3}, 1, 0.3),
     ({"loss": 0.02, "delay": 0.1, **BURSTS}, 2, 1.0),
     ({"loss": 0.1, "blackouts": ((0.0, 1.5), (5.0, 0.3))}, 2, 0.5),
-    ({"loss": 0.1, **DARK}, 2, 1.0),
-    ({"loss": 0.1, **DARK, **BURSTS, "blackouts": ((3.0, 0.5),)}, 1, 1.3),
+    ({"loss": 0.1, **BLACKOUTS}, 2, 1.0),
+    ({"loss": 0.1, **BLACKOUTS, **BURSTS, "blackouts": ((3.0, 0.5),)}, 1, 1.3),
     ({"loss": 0.1, "delay": 0.1, **LATE, "duplicates": 0.1}, 2, 0.5),
     ({"loss": 0.1, "delay": 0.1, "reorder": 0.2, "reorder_delay": 0.3}, 2, 0.8),
     ({"loss": 0.2, "delay": 0.1, "bandwidth": 3.0, "queue": 2}, 1, 1.6),
     ({"loss": 0.2, "bandwidth": 2.4, "queue": 1, "keep": "oldest"}, 1, 2.2),
 ]
-OUTAGES: list[tuple[dict[str, Any], int, int, float]] = [
+INTERVALS: list[tuple[dict[str, Any], int, int, float]] = [
     ({"loss": 0.3}, 2, 6, 0.2),
     ({"loss": 0.5, "delay": 0.1}, 4, 6, 0.8),
     ({"loss": 0.5, "delay": 0.1}, 9, 2, 0.8),
     ({"loss": 0.05, "delay": 0.1, **BURSTS}, 3, 6, 1.2),
     ({"loss": 0.05, "blackouts": ((0.0, 0.5), (5.0, 0.3))}, 3, 6, 0.6),
-    ({"loss": 0.05, **DARK}, 3, 6, 1.0),
+    ({"loss": 0.05, **BLACKOUTS}, 3, 6, 1.0),
     ({"loss": 0.05, "delay": 0.1, **LATE}, 6, 6, 0.5),
-    ({"loss": 0.05, "delay": 0.1, **LATE, **DARK, "blackouts": ((6.0, 0.4),)}, 8, 6, 1.0),
+    ({"loss": 0.05, "delay": 0.1, **LATE, **BLACKOUTS, "blackouts": ((6.0, 0.4),)}, 8, 6, 1.0),
 ]
 
 
 def counted(
     flown: ModuleType, chance_of: Callable[..., Probability], link: LinkSettings, **numbers: Any
 ) -> tuple[float, float]:
-    """A chance, and the share of flights over the link itself in which it comes true: they agree."""
+    """Check that a probability agrees with its frequency in runs over the link, and return both."""
     exceeded = getattr(flown, f"{chance_of.__name__.removesuffix('_exceedance')}s_exceeded")
     chance, count = chance_of(link, **numbers), exceeded(link, **numbers, runs=RUNS)
     assert 0 < count < RUNS
@@ -179,14 +186,14 @@ def counted(
 
 
 @pytest.mark.parametrize(("link", "period", "age"), AGES)
-def test_the_chance_of_an_age_agrees_with_its_frequency(flown, link, period, age):
-    numbers = LOOKS | {"period_ticks": period, "age": age}
+def test_age_chance_agrees_with_its_frequency(flown, link, period, age):
+    numbers = DETECTIONS | {"period_ticks": period, "age": age}
     counted(flown, age_exceedance, LinkSettings(**link), **numbers)
 
 
-@pytest.mark.parametrize(("link", "delay", "repeats", "outage"), OUTAGES)
-def test_the_chance_of_an_outage_agrees_with_its_frequency(flown, link, delay, repeats, outage):
-    numbers = PACKETS | {"delay_ticks": delay, "repeats": repeats, "max_command_interval": outage}
+@pytest.mark.parametrize(("link", "delay", "repeats", "interval"), INTERVALS)
+def test_command_gap_chance_agrees_with_its_frequency(flown, link, delay, repeats, interval):
+    numbers = PACKETS | {"delay_ticks": delay, "repeats": repeats, "max_command_interval": interval}
     counted(flown, command_interval_exceedance, LinkSettings(**link), **numbers)
 
 
@@ -196,7 +203,7 @@ FAR = Path(__file__).resolve().parents[3] / "examples" / "networks" / "wifi-far.
 
 
 @pytest.mark.parametrize(("number", "ticks"), [(1, 30), (2, 30), (3, 6)])
-def test_over_a_recorded_table_the_chance_is_the_share_of_all_its_places(number, ticks) -> None:
+def test_recorded_link_chance_is_the_share_of_all_offsets(number, ticks) -> None:
     random, places = np.random.default_rng(number), 41
     took = random.choice([math.inf, 0.0, 1.0, 2.0, 6.0], size=places, p=[0.4, 0.2, 0.2, 0.1, 0.1])
     rows = [f"{k * DT:.2f},{n * DT if n < math.inf else 'lost'}" for k, n in enumerate(took)]
@@ -208,33 +215,36 @@ def test_over_a_recorded_table_the_chance_is_the_share_of_all_its_places(number,
     ]
     common: dict[str, Any] = {"dt": DT, "ticks": ticks, "traces": traces}
     for period, age in itertools.product((1, 3), (0, 2, 4, 7)):
-        looks = {**common, "period_ticks": period, "age": age * DT}
-        exact = age_exceedance(link, dropout=0.0, **looks)
+        age_settings = {**common, "period_ticks": period, "age": age * DT}
+        exact = age_exceedance(link, dropout=0.0, **age_settings)
         share = np.mean([grows_old(flight, period, age) for flight in flights])
         assert exact == (pytest.approx(share), "")
-        bound = age_exceedance(link, dropout=1e-9, **looks)
+        bound = age_exceedance(link, dropout=1e-9, **age_settings)
         assert (bound.exact, share - 1e-6 <= bound.value <= share + 0.15) == (False, True)
-    for delay, repeats, outage in itertools.product((0, 2, 5), (1, 6), (1, 3, 8, 20)):
+    for delay, repeats, interval in itertools.product((0, 2, 5), (1, 6), (1, 3, 8, 20)):
         packets = {
             **common,
             "delay_ticks": delay,
             "repeats": repeats,
-            "max_command_interval": outage * DT,
+            "max_command_interval": interval * DT,
         }
-        share = np.mean([is_interrupted(flight, delay, repeats, outage) for flight in flights])
+        share = np.mean([is_interrupted(flight, delay, repeats, interval) for flight in flights])
         assert command_interval_exceedance(link, **packets) == (pytest.approx(share), "")
 
 
 def test_the_chances_over_a_recorded_link_agree_with_frequencies(flown: ModuleType) -> None:
     link, traces = LinkSettings(trace="far"), (pack("far", FAR.read_bytes()),)
-    looks, packets = LOOKS | {"traces": traces}, PACKETS | {"delay_ticks": 2, "traces": traces}
+    age_settings, packets = (
+        DETECTIONS | {"traces": traces},
+        PACKETS | {"delay_ticks": 2, "traces": traces},
+    )
     for dropout, age in ((0.0, 0.1), (0.1, 0.2)):
-        numbers = looks | {"dropout": dropout, "age": age}
+        numbers = age_settings | {"dropout": dropout, "age": age}
         chance, share = counted(flown, age_exceedance, link, **numbers)
         assert chance < 1.2 * share
     counted(flown, command_interval_exceedance, link, **packets, max_command_interval=0.1)
     for smallest, chance_of, name, numbers in (
-        (smallest_age, age_exceedance, "age", looks),
+        (smallest_age, age_exceedance, "age", age_settings),
         (
             smallest_command_interval,
             command_interval_exceedance,
@@ -247,15 +257,17 @@ def test_the_chances_over_a_recorded_link_agree_with_frequencies(flown: ModuleTy
         assert chance_of(link, **numbers, **{name: found - DT}).value > 0.05
 
 
-def test_of_mahimahi_files_and_of_recordings_that_are_too_long_no_chance_is_told() -> None:
+def test_mahimahi_and_overlong_recordings_have_no_chance() -> None:
     granted = {"settings": LinkSettings(trace="m"), "traces": (pack("m", b"1\n20\n"),)}
-    assert "Mahimahi" in age_exceedance(**granted, **LOOKS, age=1.0).why
+    assert "Mahimahi" in age_exceedance(**granted, **DETECTIONS, age=1.0).why
     link, traces = LinkSettings(trace="far"), (pack("far", FAR.read_bytes()),)
-    long = LOOKS | {"ticks": 100_000, "traces": traces}
+    long = DETECTIONS | {"ticks": 100_000, "traces": traces}
     assert "too long" in age_exceedance(link, **long, age=1.0).why
 
 
-KINDS = st.sampled_from([{}, BURSTS, DARK, LATE, {**BURSTS, **DARK, "blackouts": ((2.0, 0.3),)}])
+KINDS = st.sampled_from(
+    [{}, BURSTS, BLACKOUTS, LATE, {**BURSTS, **BLACKOUTS, "blackouts": ((2.0, 0.3),)}]
+)
 
 
 def rises(chance: Callable[..., Any], less: dict[str, Any], **more: Any) -> bool:
@@ -265,7 +277,7 @@ def rises(chance: Callable[..., Any], less: dict[str, Any], **more: Any) -> bool
 
 @FEW
 @given(KINDS, st.floats(0.0, 0.5), st.integers(4, 30), st.integers(1, 3))
-def test_the_chance_of_an_age_rises_with_all_that_is_worse(kind, loss, age, period) -> None:
+def test_age_chance_rises_as_conditions_worsen(kind, loss, age, period) -> None:
     link = LinkSettings(delay=0.1, loss=loss, **kind)
     numbers = {"settings": link, "dt": DT, "period_ticks": period, "dropout": 0.1, "ticks": 200}
     numbers["age"] = age * DT
@@ -278,11 +290,11 @@ def test_the_chance_of_an_age_rises_with_all_that_is_worse(kind, loss, age, peri
 
 @FEW
 @given(KINDS, st.floats(0.0, 0.5), st.integers(10, 40), st.integers(2, 10), st.integers(1, 6))
-def test_the_chance_of_an_outage_rises_with_all_that_is_worse(kind, loss, outage, delay, repeats):
+def test_command_gap_chance_rises_as_conditions_worsen(kind, loss, interval, delay, repeats):
     link = LinkSettings(delay=0.1, loss=loss, **kind)
     numbers: dict[str, Any] = {"settings": link, "dt": DT, "delay_ticks": delay, "ticks": 200}
-    numbers.update(max_command_interval=outage * DT, repeats=repeats)
-    assert rises(command_interval_exceedance, numbers, max_command_interval=(outage - 1) * DT)
+    numbers.update(max_command_interval=interval * DT, repeats=repeats)
+    assert rises(command_interval_exceedance, numbers, max_command_interval=(interval - 1) * DT)
     assert rises(command_interval_exceedance, numbers, ticks=230)
     assert rises(command_interval_exceedance, {**numbers, "repeats": repeats + 1}, repeats=repeats)
     assert rises(
@@ -293,41 +305,41 @@ def test_the_chance_of_an_outage_rises_with_all_that_is_worse(kind, loss, outage
 
 
 @pytest.mark.parametrize("risk", [0.3, 1e-2, 1e-6])
-@pytest.mark.parametrize("kind", [{}, BURSTS, DARK, {"blackouts": ((2.0, 0.4),)}, LATE])
-def test_the_smallest_number_is_the_smallest(kind: dict[str, Any], risk: float) -> None:
+@pytest.mark.parametrize("kind", [{}, BURSTS, BLACKOUTS, {"blackouts": ((2.0, 0.4),)}, LATE])
+def test_smallest_bound_cannot_be_lowered(kind: dict[str, Any], risk: float) -> None:
     link = LinkSettings(delay=0.1, loss=0.1, **kind)
-    looks, packets = LOOKS | {"period_ticks": 2, "ticks": 400}, PACKETS | {"ticks": 400}
-    age = smallest_age(link, **looks, risk=risk).value
-    outage = smallest_command_interval(link, **packets, risk=risk).value
+    age_settings, packets = DETECTIONS | {"period_ticks": 2, "ticks": 400}, PACKETS | {"ticks": 400}
+    age = smallest_age(link, **age_settings, risk=risk).value
+    interval = smallest_command_interval(link, **packets, risk=risk).value
     kept = (
-        age_exceedance(link, **looks, age=age).value,
-        command_interval_exceedance(link, **packets, max_command_interval=outage).value,
+        age_exceedance(link, **age_settings, age=age).value,
+        command_interval_exceedance(link, **packets, max_command_interval=interval).value,
     )
     exceeded = (
-        age_exceedance(link, **looks, age=age - DT).value,
-        command_interval_exceedance(link, **packets, max_command_interval=outage - DT).value,
+        age_exceedance(link, **age_settings, age=age - DT).value,
+        command_interval_exceedance(link, **packets, max_command_interval=interval - DT).value,
     )
     assert max(kept) <= risk < min(exceeded)
 
 
-def test_what_cannot_be_bounded_is_said_and_is_no_number() -> None:
-    for told in (
-        age_exceedance(SLOW, **LOOKS, age=1.0),
+def test_unbounded_quantity_is_reported_without_a_number() -> None:
+    for probability in (
+        age_exceedance(SLOW, **DETECTIONS, age=1.0),
         command_interval_exceedance(SLOW, **PACKETS, max_command_interval=1.0),
-        smallest_age(SLOW, **LOOKS, risk=0.1),
+        smallest_age(SLOW, **DETECTIONS, risk=0.1),
         smallest_command_interval(SLOW, **PACKETS, risk=0.1),
         smallest_command_interval(LinkSettings(loss=1.0), **PACKETS, risk=0.1),
     ):
-        assert told.value is None
-        assert told.why
+        assert probability.value is None
+        assert probability.why
 
 
-def test_packets_that_are_always_too_late_begin_nothing() -> None:
+def test_permanently_late_packets_start_no_trajectory() -> None:
     late = LinkSettings(delay=0.5)
     assert command_interval_exceedance(late, **PACKETS, max_command_interval=5.0) == (1.0, "")
 
 
-def test_a_flight_too_long_to_be_gone_through_has_a_bound() -> None:
+def test_flight_too_long_for_enumeration_has_a_bound() -> None:
     link, numbers = LinkSettings(loss=0.3), {"dt": DT, "period_ticks": 1, "dropout": 0.0}
     long = age_exceedance(link, **numbers, ticks=2_000_000, age=1.0)
     short = age_exceedance(link, **numbers, ticks=2_000, age=1.0)
@@ -338,7 +350,7 @@ def test_a_flight_too_long_to_be_gone_through_has_a_bound() -> None:
     assert age_exceedance(planned, **numbers, ticks=2_000_000, age=1.0).value is None
 
 
-def test_the_smallest_error_is_exceeded_with_the_chance_of_the_risk() -> None:
+def test_smallest_error_is_exceeded_with_the_given_risk() -> None:
     eps = smallest_error(0.1, math.inf, 4000, 1e-3)
     assert error_exceedance(0.1, math.inf, 4000, eps).value == pytest.approx(1e-3, rel=1e-9)
     assert smallest_error(0.1, 3.0, 4000, 1e-3) == pytest.approx(0.3)
@@ -352,7 +364,7 @@ def test_the_smallest_error_is_exceeded_with_the_chance_of_the_risk() -> None:
 
 
 def scenario(*overrides: str) -> Scenario:
-    """Return the default one over a jammed link."""
+    """Return the default scenario over a jammed link."""
     return load_scenario("escort", overrides=["links.detections.profile=jammed", *overrides])
 
 
@@ -361,10 +373,10 @@ def test_bounds_share_the_risk_equally() -> None:
     packets = PACKETS | {"delay_ticks": 12, "repeats": MOST_CARRIED, "ticks": one.ticks}
     detections, commands = one.links.detections, one.links.commands
     both = bounds_for(one, 1e-3).set
-    looks = LOOKS | {"ticks": one.ticks}
+    age_settings = DETECTIONS | {"ticks": one.ticks}
     assert (
         both["certificate.max_measurement_age"]
-        == smallest_age(detections, **looks, risk=5e-4).value
+        == smallest_age(detections, **age_settings, risk=5e-4).value
     )
     assert (
         both["certificate.max_command_interval"]
@@ -406,7 +418,7 @@ def test_a_risk_that_no_bound_meets_is_refused() -> None:
         "detections.truncation=inf",
     ],
 )
-def test_where_another_assumption_is_broken_no_loss_probability_is_known(broken: str) -> None:
+def test_other_broken_assumption_leaves_loss_probability_unknown(broken: str) -> None:
     quiet = load_scenario("escort", overrides=["links.detections.loss=0.5"])
     assert exceedance(quiet).loss_probability > 0.0
     assert exceedance(scenario(broken)).loss_probability is None
@@ -440,7 +452,7 @@ def test_the_bounds_are_options_of_run(command) -> None:
         "--set",
         "certificate.max_command_interval=0.05",
     ]
-    told = json.loads(
+    result = json.loads(
         command("network", "chances", "escort", *printed.stdout.split(), "--json").stdout
     )
-    assert 0.0 < told["loss_probability"] < 1e-3
+    assert 0.0 < result["loss_probability"] < 1e-3

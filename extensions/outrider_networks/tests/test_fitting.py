@@ -1,4 +1,4 @@
-"""The fit of a link's settings to a recorded one, and its command."""
+"""The fit of link settings to a recorded link, and its command."""
 
 import json
 import math
@@ -19,7 +19,7 @@ def a_trace(text: str, name: str = "trace") -> RecordedLink:
 
 
 def written(settings: LinkSettings, interval: float) -> RecordedLink:
-    """Messages over a drawn link, as a table."""
+    """Return the messages over a drawn link as a table."""
     sample = drawn_sample(settings, interval)
     rows = [
         f"{k * interval:.4f},{'lost' if math.isnan(took) else f'{took:.5f}'}"
@@ -29,10 +29,10 @@ def written(settings: LinkSettings, interval: float) -> RecordedLink:
 
 
 FEW = "outrider_networks.samples._MESSAGES", 500
-"""For fits of which it is not asked which profile comes nearest."""
+"""Fewer samples, for fits that do not need the nearest profile."""
 
 
-def test_the_fit_finds_the_settings_of_a_drawn_link_and_its_profile() -> None:
+def test_fit_recovers_the_settings_and_profile_of_a_link() -> None:
     poor = PROFILES["wifi-poor"]
     fit, _ = fit_link(written(poor, 0.05))
     assert fit.nearest == "wifi-poor"
@@ -52,7 +52,7 @@ def test_the_fit_finds_the_settings_of_a_drawn_link_and_its_profile() -> None:
     assert 'jitter_shape = "pareto"' in fit.toml
 
 
-def test_the_fit_tells_blackouts_and_lonely_losses_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fit_distinguishes_blackouts_from_single_losses(monkeypatch: pytest.MonkeyPatch) -> None:
     wanted = LinkSettings(
         delay=0.1, jitter=0.02, jitter_shape="normal", max_jitter=0.1, loss=0.02,
         blackout_length=0.4, blackout_interval=20.0,
@@ -67,7 +67,10 @@ def test_the_fit_tells_blackouts_and_lonely_losses_apart(monkeypatch: pytest.Mon
         ("jitter", 0.1),
         ("loss", 0.2),
         ("blackout_length", 0.05),
-        ("blackout_interval", 0.5),  # three standard deviations: there are only some forty
+        (
+            "blackout_interval",
+            0.5,
+        ),  # three standard deviations: there are only some forty blackouts
     ):
         assert getattr(found, field) == pytest.approx(getattr(wanted, field), rel=within), field
 
@@ -81,7 +84,7 @@ def test_the_fit_finds_an_outage_between_opportunities() -> None:
     assert fit.lost > 0.0  # a full queue drops messages, as in a run
 
 
-def test_a_profile_that_comes_nearer_than_the_fit_is_named(monkeypatch) -> None:
+def test_profile_closer_than_the_fit_is_named(monkeypatch) -> None:
     odd = LinkSettings(delay=0.05, reorder=0.3, reorder_delay=1.0)
     monkeypatch.setattr("outrider_networks.fitting.PROFILES", {"odd": odd})
     fit, _ = fit_link(written(odd, 0.05))
@@ -98,17 +101,17 @@ def test_the_fit_of_a_steady_link_is_its_delay_and_nothing_else(monkeypatch) -> 
 def test_the_command_fits_a_mahimahi_file_and_draws_it(here, command, monkeypatch) -> None:
     monkeypatch.setattr(*FEW)
     (here / "drive").write_text("\n".join(str(k * k) for k in range(1, 60)))
-    told = command(*words("network fit drive --message-bytes 90 --out fit.png --json"))
-    assert told.returncode == 0, told.stderr
-    fit = json.loads(told.stdout)
+    done = command(*words("network fit drive --message-bytes 90 --out fit.png --json"))
+    assert done.returncode == 0, done.stderr
+    fit = json.loads(done.stdout)
     assert fit["lost"] == 0.0
     assert fit["delay"]["most"] < 0.119
     assert "Mbit/s on average; longest time without an opportunity 117 ms" in fit["notes"][-1]
     assert (here / "fit.png").read_bytes().startswith(b"\x89PNG")
     (here / "drive").write_text("sent,delay\n0,lost\n")
-    told = command("network", "fit", "drive")
-    assert told.returncode == 2
-    assert told.stderr == (
+    done = command("network", "fit", "drive")
+    assert done.returncode == 2
+    assert done.stderr == (
         "outrider: drive: no message arrives; allowed: recordings with received messages\n"
     )
 

@@ -1,4 +1,4 @@
-"""The information contract on ROS 2's keys: what the router lets through, tried with sessions that ask nobody."""
+"""The information contract on ROS 2's keys: what the router lets through for sessions that bypass our API."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ from outrider_ros2.roles import (
     VELOCITIES,
     Operation,
 )
-from staging import Received, everybody, listening, settled
+from staging import Received, await_exactly, raw_sessions, subscribed
 
 GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], extensions=["ros2"])
 NAMES = [one.name for one in GIVEN.parties if one.role != Role.SIMULATOR]
@@ -25,35 +25,35 @@ TYPE = "nav_msgs::msg::dds_::Odometry_/RIHS01_3cc97dc7"
 TRUTHS = {f"0/uav_0/odom/{TYPE}", f"42/fleet/ugv_0/odom/{TYPE}", f"0/tf/{TYPE}"}
 CMD_VEL = f"0/ugv_0/cmd_vel/{TYPE}"
 OWN = {"uav_0": f"0/uav_0/pilot/odom/{TYPE}", "ugv_0": f"7/ugv_0/pilot/command/{TYPE}"}
-NOBODYS = {
+FORBIDDEN = {
     f"0/fleet/uav_0/pilot/odom/{TYPE}",
     f"0/uav_0/pilot/ugv_0/pilot/odom/{TYPE}",
     f"0/ugv_0/pilot/uav_0/pilot/odom/{TYPE}",
     "outrider/run/uav_0/observation",
     "0/uav_0/odom/without_a_hash",
 }
-DATA = TRUTHS | {CMD_VEL} | set(OWN.values()) | NOBODYS
-BRIDGES, LOOKERS = {"ros2", "operator"}, {"ros2_observer", "ros2_operator"}
+DATA = TRUTHS | {CMD_VEL} | set(OWN.values()) | FORBIDDEN
+BRIDGES, VIEWERS = {"ros2", "operator"}, {"ros2_observer", "ros2_operator"}
 SUFFIX = f"{TYPE}/::,10:,:,:,,"
 
 
 def readers(key: str) -> set[str]:
-    """The parties that may read a key."""
+    """Return the parties that may read a key."""
     own = {name for name, mine in OWN.items() if mine == key}
-    if own or key in NOBODYS:
+    if own or key in FORBIDDEN:
         return own
-    return LOOKERS | ({"operator"} if key == CMD_VEL else set())
+    return VIEWERS | ({"operator"} if key == CMD_VEL else set())
 
 
 def writers(key: str) -> set[str]:
-    """The parties that may write a key; the input of a bridge has a writer of its own."""
+    """Return the parties that may write a key; the input of a bridge has a writer of its own."""
     own = {name for name, mine in OWN.items() if mine == key}
-    if own or key in NOBODYS:
+    if own or key in FORBIDDEN:
         return own
     return {VELOCITIES.writer} if key == CMD_VEL else BRIDGES
 
 
-def test_each_party_reads_and_writes_its_own_topics_and_no_others(endpoint: str) -> None:
+def test_each_party_accesses_its_own_topics_only(endpoint: str) -> None:
     wanted = {
         (reader, key, writer)
         for key in DATA
@@ -64,18 +64,18 @@ def test_each_party_reads_and_writes_its_own_topics_and_no_others(endpoint: str)
     assert {("ros2_observer", f"0/tf/{TYPE}", "ros2")} < wanted
     assert not {one for one in wanted if one[0] in OWN}
     found: Received = set()
-    with everybody(endpoint, GIVEN, NAMES) as sessions:
+    with raw_sessions(endpoint, GIVEN, NAMES) as sessions:
         widest = ("**", "0/**", f"*/**/{TYPE}")
         kept = [
-            listening(opened, name, (*DATA, *widest), found) for name, opened in sessions.items()
+            subscribed(opened, name, (*DATA, *widest), found) for name, opened in sessions.items()
         ]
 
-        def say() -> None:
+        def publish() -> None:
             for name, opened in sessions.items():
                 for key in DATA:
                     opened.put(key, name.encode(), allowed_destination=zenoh.Locality.REMOTE)
 
-        settled(wanted, found, say)
+        await_exactly(wanted, found, publish)
         assert kept
     assert found == wanted
 
@@ -89,7 +89,7 @@ def node(namespace: str, by: str) -> str:
 
 
 def test_a_vehicle_sees_the_graph_of_its_own_topics_alone(endpoint: str) -> None:
-    """Names in tokens are anybody's to choose: none of another party's may reach a vehicle."""
+    """Names in tokens are free: none of another party's names may reach a vehicle."""
     truths = {"%tf", "%uav_0%odom", "%fleet%ugv_0%odom"}
     nasty = {"%fleet%uav_0%pilot%x", "%uav_0%pilot%x%ugv_0%pilot%y", "%ugv_0%pilot%uav_0%pilot%y"}
     names = truths | nasty | {"%uav_0%pilot%odom", "%ugv_0%pilot%odom"}
@@ -98,7 +98,7 @@ def test_a_vehicle_sees_the_graph_of_its_own_topics_alone(endpoint: str) -> None
         spaces = {node(space, by) for space in ("%", "%uav_0", "%ugv_0")}
         return {token(name, by) for name in names} | spaces
 
-    staff = BRIDGES | LOOKERS
+    staff = BRIDGES | VIEWERS
     open_names = {token(name, by) for name in truths for by in staff}
     open_names |= {node(space, by) for space in ("%", "%uav_0", "%ugv_0") for by in staff}
     own = {
@@ -110,7 +110,7 @@ def test_a_vehicle_sees_the_graph_of_its_own_topics_alone(endpoint: str) -> None
         for vehicle in OWN
     }
     seen: dict[str, set[str]] = {name: set() for name in NAMES}
-    with everybody(endpoint, GIVEN, NAMES) as sessions:
+    with raw_sessions(endpoint, GIVEN, NAMES) as sessions:
         kept: list[Any] = []
         for name, opened in sessions.items():
             kept.append(
@@ -122,7 +122,7 @@ def test_a_vehicle_sees_the_graph_of_its_own_topics_alone(endpoint: str) -> None
             )
             kept += [opened.liveliness().declare_token(one) for one in declared(name)]
         wanted = open_names | own["uav_0"] | own["ugv_0"]
-        settled(wanted, seen["ros2_observer"])
+        await_exactly(wanted, seen["ros2_observer"])
         asked = sessions["uav_0"].liveliness().get("@ros2_lv/**", timeout=0.5)
         replies = {str(reply.ok.key_expr) for reply in asked if reply.ok is not None}
     for name in staff:
@@ -143,7 +143,7 @@ ROWS = [(key, key.expression("run", "uav_0"), "uav_0") for key in KEYS if key.ve
 ROWS += [(key, key.expression("run", "ugv_0"), "ugv_0") for key in KEYS if key.vehicle is Role.UGV]
 ROWS += [(key, key.expression("run"), "") for key in KEYS if key.vehicle is None]
 Done = set[tuple[str, str, str, Operation]]
-"""The party that an operation reached, its key, the party that did it, and the operation."""
+"""Party reached by an operation, key, party that performed it, and the operation."""
 
 
 def may(check: Any, key: Key, name: str, vehicle: str) -> bool:
@@ -155,7 +155,7 @@ def may(check: Any, key: Key, name: str, vehicle: str) -> bool:
 
 
 def declared_inputs() -> Done:
-    """All that the tables let through on the run's own keys and on the inputs of bridges."""
+    """Return all that the tables let through on the run's own keys and on the inputs of bridges."""
     names = [one.name for one in GIVEN.parties]
     done = {
         (reader, expression, writer, Operation.PUT)
@@ -172,14 +172,14 @@ def declared_inputs() -> Done:
     return done
 
 
-def test_inputs_obey_the_tables_whoever_does_whatever(endpoint: str) -> None:
-    """Every party puts to, deletes and calls every key, and serves and reads each, for itself and by wide keys."""
+def test_inputs_obey_the_access_tables(endpoint: str) -> None:
+    """Let every party put to, delete, call, serve and read every key, by itself and by wildcards."""
     assert {VELOCITIES.writer, CALLS.writer} == {NODE_OPERATOR}
     wanted, found, deleted = declared_inputs(), set[Any](), set[Any]()
     names = [one.name for one in GIVEN.parties]
     keys = {expression for _, expression, _ in ROWS}.union(*INPUT_KEYS.values())
 
-    def keep(name: str, sample: zenoh.Sample) -> None:
+    def record_sample(name: str, sample: zenoh.Sample) -> None:
         if sample.kind is zenoh.SampleKind.DELETE:
             deleted.add((name, str(sample.key_expr)))
         else:
@@ -188,18 +188,20 @@ def test_inputs_obey_the_tables_whoever_does_whatever(endpoint: str) -> None:
 
     def serve(name: str, query: zenoh.Query) -> None:
         with query:
-            asks = query.payload.to_string() if query.payload is not None else ""
-            found.add((name, str(query.key_expr), asks, Operation.CALL))
+            caller = query.payload.to_string() if query.payload is not None else ""
+            found.add((name, str(query.key_expr), caller, Operation.CALL))
             query.reply(query.key_expr, name.encode())
 
-    with everybody(endpoint, GIVEN, names, "observer") as sessions:
+    with raw_sessions(endpoint, GIVEN, names, "observer") as sessions:
         kept: list[Any] = []
         for name, opened in sessions.items():
             for key in (*keys, "**", "0/**"):
-                kept.append(opened.declare_subscriber(key, lambda one, name=name: keep(name, one)))
+                kept.append(
+                    opened.declare_subscriber(key, lambda one, name=name: record_sample(name, one))
+                )
                 kept.append(opened.declare_queryable(key, lambda one, name=name: serve(name, one)))
 
-        def say() -> None:
+        def publish() -> None:
             remote = zenoh.Locality.REMOTE
             for name, opened in sessions.items():
                 for key in keys:
@@ -211,16 +213,16 @@ def test_inputs_obey_the_tables_whoever_does_whatever(endpoint: str) -> None:
                         )
                     )
 
-        settled(wanted, found, say)
+        await_exactly(wanted, found, publish)
         assert kept
     assert found == wanted
     assert not deleted
 
 
-def test_who_comes_late_is_given_the_newest_but_never_a_vehicle(endpoint: str) -> None:
+def test_late_reader_gets_the_newest_message_but_no_vehicle_does(endpoint: str) -> None:
     key = f"0/coverage/{TYPE}"
     got: set[str] = set()
-    with everybody(endpoint, GIVEN, NAMES) as sessions:
+    with raw_sessions(endpoint, GIVEN, NAMES) as sessions:
         publisher = zenoh.ext.declare_advanced_publisher(
             sessions["ros2"],
             key,
@@ -239,10 +241,10 @@ def test_who_comes_late_is_given_the_newest_but_never_a_vehicle(endpoint: str) -
             for name in NAMES
             if name != "ros2"
         ]
-        settled(LOOKERS, got)
+        await_exactly(VIEWERS, got)
         for one in kept:
             one.undeclare()
-    assert got == LOOKERS
+    assert got == VIEWERS
 
 
 def test_a_run_without_ros2_lets_nothing_of_it_through() -> None:

@@ -1,4 +1,4 @@
-"""Flights as rosbag2 folders: what ROS 2 is told at every tick, and the recording itself beside it."""
+"""Runs as rosbag2 folders: the topics of the bridge at every tick, and the recording itself."""
 
 import json
 import re
@@ -47,7 +47,7 @@ SEED, TICKS = 5, 60
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
-    """A recording, the bag that is made of it, and its flight."""
+    """Record a run and convert it to a bag."""
     folder = tmp_path_factory.mktemp("bags")
     flight = recorded(folder / "run.mcap", SCENARIO, SEED)
     write_bag(folder / "run.mcap", folder / "bag")
@@ -61,7 +61,7 @@ def write_bag(recording, folder, flight=None):
 
 
 def imported(bag):
-    """The recording in a bag as a file beside it, and where reading ended."""
+    """Import the recording of a bag into a file beside it; return the file and the damage."""
     damage, file = Damage(), bag.with_name(f"{bag.name}-imported.mcap")
     for _ in import_bag(bag, file, damage):
         pass
@@ -75,7 +75,7 @@ def messages_in(bag, *topics):
 
 
 def rewritten(bag, folder, keep=lambda _number, _topic: True):
-    """A copy of a bag as a tool of others makes it, with all messages or some of them."""
+    """Copy a bag with all or some of its messages, like a third-party tool."""
     with (
         Reader(bag) as reader,
         Writer(folder, version=8, storage_plugin=StoragePlugin.MCAP) as writer,
@@ -93,7 +93,7 @@ def rewritten(bag, folder, keep=lambda _number, _topic: True):
     return folder
 
 
-def test_a_bag_has_the_bridges_topics_with_their_types_hashes_and_qualities(flown):
+def test_bag_has_the_topics_types_hashes_and_qos_of_the_bridge(flown):
     scene = view_of(SCENARIO.name, geometry_of(SCENARIO)).scene
     wanted = {name: (row.interface, row.qos) for row in TOPICS for _, name in row.names(scene)}
     wanted[RECORDS] = (RECORDS_TYPE, RECORDS_QOS)
@@ -117,20 +117,20 @@ def test_the_metadata_count_what_is_there(flown):
     assert total == len(came)
     assert counted["/clock"] == counted["/uav_0/odom"] == TICKS + 1
     assert counted["/tf_static"] == counted["/discs"] == 1
-    assert counted["/uav_0/path"] == 4  # one a simulated second
+    assert counted["/uav_0/path"] == 4  # one per simulated second
 
 
 def test_odometry_in_a_bag_is_the_flights_to_the_last_bit(flown):
     names, states = flown.flight.world.names, flown.flight.recorder.states
     for k, name in enumerate(names):
-        told = [
+        poses = [
             decode("nav_msgs/msg/Odometry", raw)
             for _, _, raw in messages_in(flown.bag, f"/{name}/odom")
         ]
         rows = np.array(
             [
                 (p.x, p.y, v.x, v.y)
-                for p, v in ((one.pose.pose.position, one.twist.twist.linear) for one in told)
+                for p, v in ((one.pose.pose.position, one.twist.twist.linear) for one in poses)
             ]
         )
         assert rows.tobytes() == np.ascontiguousarray(states[: TICKS + 1, k, :4]).tobytes()
@@ -156,12 +156,12 @@ def test_times_in_a_bag_are_the_simulated_ones(flown):
 
 
 def test_no_two_records_have_one_time(flown):
-    """A tool that sorts by time keeps their order."""
+    """Tools that sort by time keep the order of records."""
     times = [time for _, time, _ in messages_in(flown.bag, RECORDS)]
     assert all(later > earlier for earlier, later in pairwise(times))
 
 
-def test_a_bag_tells_all_that_its_recording_tells(flown):
+def test_bag_contains_everything_of_its_recording(flown):
     again, damage = imported(flown.bag)
     (file,), (bag,) = load(flown.file), load(again)
     assert (bag.head, bag.truths, bag.commands) == (file.head, file.truths, file.commands)
@@ -170,11 +170,13 @@ def test_a_bag_tells_all_that_its_recording_tells(flown):
         assert list(read(again)) == list(read(flown.file))
 
 
-def test_a_bag_flies_again_to_the_same_hash_as_it_is_rewritten_and_split(flown, tmp_path):
+def test_rewritten_and_split_bags_refly_to_the_same_hash(flown, tmp_path):
     whole = rewritten(flown.bag, tmp_path / "whole")
     split = rewritten(flown.bag, tmp_path / "split", lambda number, _: number >= 400)
     rewritten(flown.bag, tmp_path / "first", lambda number, _: number < 400)
-    (tmp_path / "first" / "first.mcap").rename(split / "z_0.mcap")  # no name tells their order
+    (tmp_path / "first" / "first.mcap").rename(
+        split / "z_0.mcap"
+    )  # file names do not define the order
     for bag in (flown.bag, whole, split):
         again = refly(flight_of(imported(bag)[0]))
         assert again.difference is None
@@ -185,7 +187,7 @@ def test_a_bag_that_lost_a_record_is_read_up_to_there(flown, tmp_path):
     ended = rewritten(
         flown.bag, tmp_path / "cut", lambda number, topic: topic != RECORDS or number < 300
     )
-    # the end is gone: nobody can tell, and it is flown to there
+    # the missing end cannot be detected; the run is flown up to there
     assert len(flight_of(imported(ended)[0]).truths) < TICKS
     cut = rewritten(
         flown.bag, tmp_path / "gap", lambda number, topic: topic != RECORDS or number > 20
@@ -200,21 +202,21 @@ def test_a_bag_with_a_truncated_file_is_read_up_to_there(flown, tmp_path, comman
     rewritten(flown.bag, tmp_path / "rest", lambda number, _: number >= 400)
     raw = (tmp_path / "rest" / "rest.mcap").read_bytes()
     file = tmp_path / "again.mcap"
-    told = json.loads(command("ros2", "import", bag, file, "--json").stdout)
-    assert told["whole"]
+    first_import = json.loads(command("ros2", "import", bag, file, "--json").stdout)
+    assert first_import["whole"]
     assert len(flight_of(file).truths) < TICKS
     (bag / "a.mcap").write_bytes(raw[: len(raw) // 2])
     found = json.loads(command("ros2", "import", bag, file, "--json").stdout)
-    assert found["messages"] == told["messages"]
+    assert found["messages"] == first_import["messages"]
     assert (found["whole"], found["reason"]) == (False, "a.mcap: it ends within a record")
 
 
 def test_the_command_writes_a_bag_that_it_replays(flown, tmp_path, command):
     found = command("ros2", "export", flown.file, tmp_path / "bag", "--json")
-    told = json.loads(found.stdout)
-    assert (told["topics"]["/tf"], told["messages"]) == (
+    result = json.loads(found.stdout)
+    assert (result["topics"]["/tf"], result["messages"]) == (
         TICKS + 1,
-        sum(told["topics"].values()),
+        sum(result["topics"].values()),
     )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bag"]
     file = tmp_path / "again.mcap"
@@ -242,13 +244,13 @@ def test_a_bag_whose_name_was_taken_meanwhile_is_kept(flown, tmp_path):
     for _ in copy_flight(flight_of(flown.file), bag):
         pass
     (tmp_path / "bag").mkdir()
-    with pytest.raises(ScenarioError, match="exists by now; the bag is in ") as told:
+    with pytest.raises(ScenarioError, match="exists by now; the bag is in ") as error:
         bag.close()
-    kept = Path(str(told.value).partition(" is in ")[2])
+    kept = Path(str(error.value).partition(" is in ")[2])
     assert refly(flight_of(imported(kept)[0])).trajectory_sha256 == flown.flight.recorder.sha256()
 
 
-def test_what_breaks_in_the_middle_leaves_nothing(flown, tmp_path):
+def test_failed_export_leaves_nothing(flown, tmp_path):
     def begin():
         with RosBag(tmp_path / "bag") as bag:
             next(copy_flight(flight_of(flown.file), bag))
@@ -360,19 +362,21 @@ def test_without_the_extra_it_is_named(flown, tmp_path, monkeypatch):
     for name in [one for one in sys.modules if one.partition(".")[0] == "rosbags"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rosbags", None)
-    assert imported(flown.bag)[0].exists()  # importing one needs no more than a recording does
+    assert imported(flown.bag)[0].exists()  # importing a bag needs no more than a recording
     with pytest.raises(ScenarioError, match=r"pip install -e '\.\[ros2\]'"):
         RosBag(tmp_path / "bag")
 
 
 def observed(folder, scenario, flights=2, ticks=4):
-    """A bag of a run that is reset, as an observer records it who is told the geometry late."""
+    """Record a bag of a run with resets like an observer that receives the geometry late."""
     observer = Observer(RosBag(folder), scenario)
     for _ in range(flights):
         flight = Flight(SCENARIO, SEED)
         for tick in range(ticks):
-            told = geometry_of(SCENARIO) if tick >= 2 else None
-            observer.take(flight, tick=tick, time=flight.world.time, ticks=ticks, geometry=told)
+            known_geometry = geometry_of(SCENARIO) if tick >= 2 else None
+            observer.receive(
+                flight, tick=tick, time=flight.world.time, ticks=ticks, geometry=known_geometry
+            )
             flight.apply({})
     return observer.recorder
 
@@ -384,7 +388,7 @@ def test_an_observer_records_a_run_that_is_reset_into_one_bag(tmp_path, known):
     first, second = load(file)
     assert [truth.tick for truth in first.truths] == [truth.tick for truth in second.truths]
     clocks = messages_in(tmp_path / "live", "/clock")
-    assert len(clocks) == 8  # those before the geometry was told, too
+    assert len(clocks) == 8  # also those before the geometry was received
     assert [time for _, time, _ in clocks] == sorted({time for _, time, _ in clocks})
     if known:
         assert refly(flight_of(file)).difference is None
@@ -393,7 +397,7 @@ def test_an_observer_records_a_run_that_is_reset_into_one_bag(tmp_path, known):
         assert copied.truths == first.truths
 
 
-def test_of_a_run_without_a_tick_there_is_no_bag(tmp_path):
+def test_run_without_a_tick_has_no_bag(tmp_path):
     with pytest.raises(ScenarioError, match="no tick was received"):
         observed(tmp_path / "live", None, flights=0).close()
     with pytest.raises(ScenarioError, match="no status contained the geometry"):
@@ -401,7 +405,7 @@ def test_of_a_run_without_a_tick_there_is_no_bag(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_bag_that_tells_a_secret_is_its_owners_alone(tmp_path):
+def test_bag_with_a_secret_is_readable_by_its_owner_only(tmp_path):
     for secret in ("", "7" * 32):
         with RosBag(tmp_path / f"bag{secret[:1]}") as bag:
             bag.begin(head_of(SCENARIO, SEED, secret=secret), SCENARIO)

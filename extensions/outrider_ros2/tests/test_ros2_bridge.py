@@ -1,4 +1,4 @@
-"""The bridge to ROS 2 between a simulator and nodes, each with a session and credentials of its own."""
+"""The bridge to ROS 2 between a simulator and nodes, each with its own session and credentials."""
 
 import math
 from collections import defaultdict
@@ -44,7 +44,7 @@ STATUS_NOW = a_status(
 
 
 class Staged:
-    """A simulator that only tells, a bridge, and ROS 2 nodes that are plain Zenoh sessions."""
+    """A simulator that only sends messages, a bridge, and ROS 2 nodes that are plain Zenoh sessions."""
 
     def __init__(self, stack: ExitStack, folder: Path, bridge: str) -> None:
         self._stack = stack
@@ -59,15 +59,15 @@ class Staged:
         self.observer = RosObserver(self.bridge, self.node, namespace="/fleet")
         stack.callback(self.observer.close)
 
-    def tell(self) -> None:
-        """Let the bridge know the run's status."""
+    def send_status(self) -> None:
+        """Send the status of the run until the bridge has received it."""
 
-        def told() -> bool:
+        def is_received() -> bool:
             self.statuses.send(STATUS_NOW)
             self.observer.step(0.02)
             return self.observer.status is not None
 
-        wait_until(told)
+        wait_until(is_received)
 
     def ros(self, name: str) -> zenoh.Session:
         return self._stack.enter_context(raw_session(self.endpoint, GIVEN.of(name)))
@@ -80,17 +80,17 @@ def staged(folder: Path, bridge: str = "ros2") -> Iterator[Staged]:
 
 
 def row_key(name: str, vehicle: str = "uav_0") -> tuple[str, str]:
-    """Type and key of a topic in the bridge's domain and namespace."""
+    """Return type and key of a topic in the bridge's domain and namespace."""
     row = next(one for one in TOPICS if one.name == name)
     whose = f"/{vehicle}" if row.each != "run" else ""
     topic = wire_topic(row.interface, f"{whose}/{name}", "/fleet")
     return row.interface, topic.key(7)
 
 
-def test_what_somebody_reads_is_published_and_nothing_else_is_asked_for(tmp_path: Path) -> None:
+def test_only_topics_with_readers_are_published_and_requested(tmp_path: Path) -> None:
     with staged(tmp_path) as stage:
         observer = stage.observer
-        stage.tell()
+        stage.send_status()
         assert not stage.truths.wanted
         assert not stage.maps.wanted
         ros, got = stage.ros("ros2_observer"), []
@@ -125,7 +125,7 @@ def test_what_somebody_reads_is_published_and_nothing_else_is_asked_for(tmp_path
         wait_until(left)
 
 
-def test_who_comes_late_gets_the_map_and_the_graph_shows_every_topic(tmp_path: Path) -> None:
+def test_late_reader_gets_the_map_and_graph_shows_every_topic(tmp_path: Path) -> None:
     with staged(tmp_path) as stage:
         ros, got = stage.ros("ros2_observer"), []
         interface, key = row_key("coverage")
@@ -163,7 +163,7 @@ def test_who_comes_late_gets_the_map_and_the_graph_shows_every_topic(tmp_path: P
 
 
 class Reader:
-    """A publisher that has been read from the beginning, and what it has sent."""
+    """A publisher with a reader from the start, and its sent messages."""
 
     wanted, matches = True, 1
 
@@ -176,11 +176,11 @@ class Reader:
         return len(self.got)
 
     def close(self) -> None:
-        """Nothing is left."""
+        """Do nothing."""
 
 
-def test_readers_of_another_run_that_stands_still_are_told_all_at_once() -> None:
-    """Its tick is that at which the run before it was left, and it is not told another one."""
+def test_readers_of_another_paused_run_receive_all_at_once() -> None:
+    """The tick is that at which the previous run was left, and the other run does not advance."""
     boxes: dict[Any, Box] = defaultdict(Box)
     readers: dict[str, Reader] = {}
 
@@ -191,7 +191,7 @@ def test_readers_of_another_run_that_stands_still_are_told_all_at_once() -> None
     session: Any = SimpleNamespace(inbox=lambda key, **_more: boxes[key], forget=lambda _box: None)
     node: Any = SimpleNamespace(publisher=publisher)
     observer = RosObserver(session, node)
-    told = []
+    counts = []
     for radius in (4.75, 4.5):
         other = load_scenario("escort", overrides=[f"visibility.radius={radius}"])
         status = msgspec.structs.replace(STATUS_NOW, geometry=geometry_of(other))
@@ -199,9 +199,9 @@ def test_readers_of_another_run_that_stands_still_are_told_all_at_once() -> None
         for _ in range(2):
             boxes[SAMPLED_TRUTH].messages.append(truth_at(40))
             observer.step(0.0)
-        told.append({name: reader.sent for name, reader in readers.items()})
-    assert told[0] == told[1]
-    assert told[1]["/uav_0/odom"] == told[1]["/uav_0/path"] == told[1]["/discs"] == 1
+        counts.append({name: reader.sent for name, reader in readers.items()})
+    assert counts[0] == counts[1]
+    assert counts[1]["/uav_0/odom"] == counts[1]["/uav_0/path"] == counts[1]["/discs"] == 1
 
 
 def _twist(x: float, y: float, *, turn: float = 0.0) -> Any:
@@ -245,23 +245,23 @@ def test_a_bad_velocity_is_refused_by_its_cause(cause: str) -> None:
 @given(st.binary(max_size=80), st.sampled_from(TWISTS))
 def test_no_bytes_at_all_make_a_velocity_that_cannot_be_driven(raw: bytes, interface: str) -> None:
     try:
-        wish = velocity_command(
+        command = velocity_command(
             _key(interface=interface), raw, domain=7, namespace="/fleet", ugvs=UGVS
         )
     except Refused:
         return
-    assert math.hypot(*wish.velocity) <= 0.2 * (1.0 + 1e-6)
+    assert math.hypot(*command.velocity) <= 0.2 * (1.0 + 1e-6)
 
 
-def test_an_operators_node_drives_and_what_is_bad_is_counted_and_told(tmp_path: Path) -> None:
+def test_operator_node_drives_and_bad_messages_are_counted(tmp_path: Path) -> None:
     with staged(tmp_path, "operator") as stage:
-        wheels = stage.simulator.inbox(OPERATOR, "ugv_0")
+        teleoperations = stage.simulator.inbox(OPERATOR, "ugv_0")
         controls = stage.simulator.inbox(CONTROL)
         client, observer = RunClient(stage.bridge, read=()), stage.observer
         observer.commands = RosCommands(
             stage.node, client, namespace="/fleet", refusals=observer.refusals
         )
-        stage.tell()
+        stage.send_status()
         driving = stage.ros("ros2_operator")
         others = [stage.ros(name) for name in ("ros2", "ros2_observer", "observer")]
         beside = Attachment(sequence=1, time=0, gid=bytes(16)).encoded()
@@ -271,7 +271,7 @@ def test_an_operators_node_drives_and_what_is_bad_is_counted_and_told(tmp_path: 
             driving.put(_key(), GOOD, attachment=beside)
             for other in others:
                 other.put(_key(), encode(TWISTS[1], _twist(0.0, 0.15)), attachment=beside)
-            while (envelope := wheels.next_waiting()) is not None:
+            while (envelope := teleoperations.next_waiting()) is not None:
                 drives.append(envelope.message)
             return bool(drives)
 
@@ -301,8 +301,8 @@ def test_an_operators_node_drives_and_what_is_bad_is_counted_and_told(tmp_path: 
             return observer.refusals.counts["another hash"] > counted
 
         wait_until(counted_without_hash)
-        told_of = {one.key: one.value for one in observer._own_diagnostic().values}
-        assert int(told_of["rejected: beyond the limits"]) >= 1
+        diagnostic = {one.key: one.value for one in observer._own_diagnostic().values}
+        assert int(diagnostic["rejected: beyond the limits"]) >= 1
 
         trigger, pause = "std_srvs/srv/Trigger", "std_srvs/srv/SetBool"
         nothing = make(request_of(trigger), structure_needs_at_least_one_member=0)

@@ -1,4 +1,4 @@
-"""A vehicle flown by a ROS 2 node: the trajectory of the pilot in this process, and nothing that is not its own."""
+"""A vehicle flown by a ROS 2 node: the trajectory of the local pilot, and nothing that is not its own."""
 
 import threading
 from pathlib import Path
@@ -44,17 +44,17 @@ def key_of(row: Any, vehicle: str, domain: int = 3) -> str:
 
 
 class Foreign:
-    """A ROS 2 node that flies a vehicle by our own pilot, and speaks plain Zenoh."""
+    """A ROS 2 node that flies a vehicle with our pilot, over plain Zenoh."""
 
     def __init__(self, endpoint: str, vehicle: str, *, exact: bool) -> None:
         self._vehicle, self._exact = vehicle, exact
         self._lock = threading.Lock()
-        self._make, told, seen = KINDS[vehicle]
-        self._briefing = msgspec.json.Decoder(told)
+        self._make, briefing_type, seen = KINDS[vehicle]
+        self._briefing = msgspec.json.Decoder(briefing_type)
         self._observation = msgspec.json.Decoder(seen)
         self._pilot: Any = None
         self._waiting: list[Any] = []
-        """Between two topics there is no order: the briefing may come last."""
+        """Topics are not ordered: the briefing may arrive last."""
         self.zenoh = raw_session(endpoint, GIVEN.of(vehicle))
         self._late = zenoh.ext.declare_advanced_subscriber(
             self.zenoh,
@@ -64,8 +64,8 @@ class Foreign:
         )
         self._own = self.zenoh.declare_subscriber(key_of(OBSERVATION, vehicle), self._act)
 
-    def _brief(self, told: Any) -> None:
-        text = decode(BRIEFING.interface, told.payload.to_bytes()).data
+    def _brief(self, message: Any) -> None:
+        text = decode(BRIEFING.interface, message.payload.to_bytes()).data
         with self._lock:
             self._pilot = self._make(self._briefing.decode(text))
             for sample in self._waiting:
@@ -101,7 +101,7 @@ def accelerate(seconds: float, value: tuple[float, float], frame: str = "map") -
 
 
 def bridge(endpoint: str, vehicle: str, links: list[RosPilot]) -> None:
-    """The process `outrider ros2 --vehicle`, as a thread."""
+    """Run `outrider ros2 --vehicle` as a thread."""
     credential = GIVEN.of(vehicle)
     with staging.client_of(endpoint, credential) as session:
         node = RosNode(session, domain=3, name="outrider", namespace=f"/{vehicle}")
@@ -120,13 +120,13 @@ def bridge(endpoint: str, vehicle: str, links: list[RosPilot]) -> None:
 
 
 @pytest.mark.parametrize(("vehicle", "exact"), [("uav_0", True), ("ugv_0", False)])
-def test_a_ros_2_node_flies_the_trajectory_of_the_pilot_in_this_process(
+def test_ros_2_node_flies_the_trajectory_of_the_local_pilot(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, vehicle: str, exact: bool
 ) -> None:
-    """With bad answers before each good one: they are refused, and change nothing."""
+    """Send bad answers before each good one: they are refused and change nothing."""
     monkeypatch.setattr(staging, "GIVEN", GIVEN)
     for role in (Role.UAV, Role.UGV):
-        warm_up(role)  # nobody must wait for a compiler
+        warm_up(role)  # compile before the run starts
     with staging.stage(tmp_path, 60) as stage:
         links: list[RosPilot] = []
         thread = threading.Thread(target=bridge, args=(stage.endpoint, vehicle, links), daemon=True)
@@ -147,7 +147,7 @@ def test_a_ros_2_node_flies_the_trajectory_of_the_pilot_in_this_process(
         flight = stage.fly(on_tick=disturb)
         thread.join(20.0)
         foreign.zenoh.close()
-    assert flight.recorder.sha256() == staging.whole(60).recorder.sha256()
+    assert flight.recorder.sha256() == staging.local_flight(60).recorder.sha256()
     assert links[0].answered == 60
     assert set(links[0].refusals.counts) >= {
         "invalid command",
@@ -156,7 +156,7 @@ def test_a_ros_2_node_flies_the_trajectory_of_the_pilot_in_this_process(
     }
 
 
-def test_a_node_that_is_late_keeps_nobody_waiting_and_one_that_has_gone_ends_the_process(
+def test_late_node_delays_no_tick_and_lost_node_ends_the_process(
     tmp_path: Path,
 ) -> None:
     session = open_session(
@@ -173,21 +173,21 @@ def test_a_node_that_is_late_keeps_nobody_waiting_and_one_that_has_gone_ends_the
         with pytest.raises(PeerLost, match="the ROS 2 node of uav_0 disconnected"):
             link.answer(lambda: True)
 
-        def say(seconds: float, value: tuple[float, float]) -> None:
+        def reply(seconds: float, value: tuple[float, float]) -> None:
             answer = encode(ACCEL.interface, accelerate(seconds, value))
             link._receive(key_of(ACCEL, "uav_0"), answer, b"")
 
-        say(0.15, (0.1, 0.0))
+        reply(0.15, (0.1, 0.0))
         assert link.refusals.counts == {"answers another tick": 1}
-        say(0.2, (0.1, 0.0))
+        reply(0.2, (0.1, 0.0))
         answer = link.answer(lambda: True)
-        say(0.2, (0.3, 0.0))
+        reply(0.2, (0.3, 0.0))
         assert link.refusals.counts["answers a tick twice"] == 1
         assert answer is not None
         assert (answer.tick, answer.acceleration) == (4, (0.1, 0.0))
         assert seconds_of(header(0.2).stamp) == 0.2
         link.attend(lambda: True)
         again = link.make(briefing(load_scenario("escort"), "uav_0", 0))
-        assert again.act(seen) is None  # of its past, which nobody waits for
+        assert again.act(seen) is None  # from its past, for which nothing waits
         link.close()
         node.close()

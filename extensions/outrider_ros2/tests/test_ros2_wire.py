@@ -45,8 +45,8 @@ def _view():
 def _by_topic(message, view=None):
     view = view or _view()
     rows = {name: row for row in TOPICS for _, name in row.names(view.scene)}
-    told = messages_of(view, message)
-    return {name: decode(rows[name].interface, payload) for name, payload in told}
+    payloads = messages_of(view, message)
+    return {name: decode(rows[name].interface, payload) for name, payload in payloads}
 
 
 def test_a_key_and_tokens_are_those_that_rmw_zenoh_makes():
@@ -74,11 +74,11 @@ def test_a_gid_is_the_hash_of_the_token_with_its_low_half_first():
 
 
 def test_an_attachment_is_read_back_and_another_length_is_none():
-    told = Attachment(sequence=5, time=123456789012345, gid=bytes(range(16)))
-    raw = told.encoded()
+    attachment = Attachment(sequence=5, time=123456789012345, gid=bytes(range(16)))
+    raw = attachment.encoded()
     assert raw[:8] == struct.pack("<q", 5)
     assert raw[16] == 16
-    assert Attachment.decoded(raw) == told
+    assert Attachment.decoded(raw) == attachment
     assert Attachment.decoded(raw[:-1]) is None
     assert Attachment.decoded(raw[:16] + b"\x0f" + raw[17:]) is None
 
@@ -96,15 +96,15 @@ def test_a_namespace_gets_its_slash_and_a_domain_its_bounds():
         check_domain(233)
 
 
-def test_odometry_and_transforms_tell_the_truth_in_the_map_frame():
-    told = _by_topic(truth_at())
-    odometry = told["/uav_0/odom"]
+def test_odometry_and_transforms_show_the_truth_in_the_map_frame():
+    messages = _by_topic(truth_at())
+    odometry = messages["/uav_0/odom"]
     assert (odometry.header.frame_id, odometry.child_frame_id) == ("map", "uav_0/base_link")
     assert seconds_of(odometry.header.stamp) == pytest.approx(2.0, abs=1e-9)
     position, velocity = odometry.pose.pose.position, odometry.twist.twist.linear
     assert (position.x, position.y, position.z) == (3.0, 4.5, 0.0)
     assert (velocity.x, velocity.y) == (0.25, -0.5)
-    frames = {one.child_frame_id: one.transform for one in told["/tf"].transforms}
+    frames = {one.child_frame_id: one.transform for one in messages["/tf"].transforms}
     assert set(frames) == {"uav_0/base_link", "ugv_0/base_link"}
     assert frames["ugv_0/base_link"].translation.x == 5.0
     assert frames["ugv_0/base_link"].rotation.w == 1.0
@@ -124,7 +124,7 @@ def test_an_estimate_carries_its_covariance():
     assert not covariance[2:].any()
 
 
-def test_a_path_stays_short_and_begins_anew_with_another_flight():
+def test_path_stays_short_and_restarts_with_another_flight():
     track = PathTrack()
     for tick in range(5000):
         track.add(tick * 0.05, (tick * 0.11, 0.0))
@@ -136,20 +136,20 @@ def test_a_path_stays_short_and_begins_anew_with_another_flight():
 
 def test_coverage_is_a_grid_in_percent():
     cells = bytes([0, 127, 255, 255, 0, 51])
-    told = CoverageMap(tick=100, columns=3, rows=2, cell=0.25, cells=cells)
-    grid = _by_topic(told)["/coverage"]
+    coverage = CoverageMap(tick=100, columns=3, rows=2, cell=0.25, cells=cells)
+    grid = _by_topic(coverage)["/coverage"]
     assert (grid.info.width, grid.info.height) == (3, 2)
     assert grid.info.resolution == 0.25
     assert grid.data.tolist() == [0, 50, 100, 100, 0, 20]
     assert seconds_of(grid.header.stamp) == pytest.approx(5.0)
 
 
-def test_hazards_are_markers_that_keep_their_number_and_are_told_once():
+def test_hazards_are_markers_with_fixed_ids_sent_once():
     outlines = [
         {"kind": "block", "center": [1.0, 2.0], "radius": 0.5},
         {"kind": "rough", "polygon": [[0, 0], [1, 0], [1, 1], [0, 1]]},
     ]
-    told = msgspec.convert(
+    ground = msgspec.convert(
         {
             "tick": 2,
             "columns": 2,
@@ -162,12 +162,12 @@ def test_hazards_are_markers_that_keep_their_number_and_are_told_once():
         GroundMap,
     )
     view = _view()
-    first = _by_topic(told, view)
+    first = _by_topic(ground, view)
     assert first["/ground"].data.tolist() == [-1, 100]
     disc, polygon = first["/hazards"].markers
     assert (disc.id, disc.scale.x, disc.pose.position.y) == (0, 1.0, 2.0)
     assert len(polygon.points) == 6
-    again = _by_topic(msgspec.structs.replace(told, hazards=()), view)["/hazards"]
+    again = _by_topic(msgspec.structs.replace(ground, hazards=()), view)["/hazards"]
     assert [one.id for one in again.markers] == [0, 1]
 
 
@@ -185,22 +185,22 @@ def test_diagnostics_name_why_nothing_is_certified():
     assert parts["outrider: certificate uav_0"].level == 1
     lossy = parts["outrider: link uav_0/detections"]
     assert lossy.message == "message loss"
-    told = {one.key: one.value for one in lossy.values}
-    assert (told["sent"], told["delivered"], told["lost: chance"]) == ("9", "4", "5")
-    assert told["delivery_ratio"] == "0.444444"
+    value_of = {one.key: one.value for one in lossy.values}
+    assert (value_of["sent"], value_of["delivered"], value_of["lost: chance"]) == ("9", "4", "5")
+    assert value_of["delivery_ratio"] == "0.444444"
 
 
 def test_discs_and_sensors_stay_as_they_are():
-    told = _by_topic(None)
-    (sensor,) = told["/tf_static"].transforms
+    messages = _by_topic(None)
+    (sensor,) = messages["/tf_static"].transforms
     assert (sensor.header.frame_id, sensor.child_frame_id) == ("uav_0/base_link", "uav_0/sensor")
     rotation = sensor.transform.rotation
-    # Its x axis in the base_link: down.
+    # the sensor's x axis points down in base_link
     assert 2.0 * (rotation.x * rotation.z - rotation.w * rotation.y) == pytest.approx(-1.0)
-    assert all(one.frame_locked for one in told["/discs"].markers)
+    assert all(one.frame_locked for one in messages["/discs"].markers)
 
 
-def test_every_topic_has_one_row_and_no_observers_topic_is_a_vehicles_own():
+def test_topics_are_unique_and_vehicle_topics_have_their_prefix():
     scene = _view().scene
     names = [name for row in (*TOPICS, *PILOT_TOPICS) for _, name in row.names(scene)]
     assert len(names) == len(set(names))
@@ -209,7 +209,7 @@ def test_every_topic_has_one_row_and_no_observers_topic_is_a_vehicles_own():
     assert all(type_hash(row.interface).startswith("RIHS01_") for row in (*TOPICS, *PILOT_TOPICS))
 
 
-def test_what_is_no_cdr_of_its_type_is_refused_with_a_reason():
+def test_invalid_cdr_is_refused_with_a_reason():
     zero = make("geometry_msgs/msg/Vector3", x=1.0, y=2.0, z=3.0)
     twist = make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
     raw = encode("geometry_msgs/msg/Twist", twist)
@@ -229,7 +229,7 @@ def test_a_time_is_split_without_loss():
         assert 0 <= odometry.header.stamp.nanosec < 10**9
 
 
-def test_every_topic_of_ros_2_is_told_with_its_type(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_ros_2_topic_is_documented_with_its_type(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(Path(__file__).parents[3] / "docs" / "generators")
     generator = importlib.import_module("ros2_topics")
     for rows, text in (

@@ -4,8 +4,8 @@ Router, simulator, both vehicles, and Debian's Chromium without a screen.
 
     make page-test
 
-Exit code 0: all is as it should be; 1: something is not, and it is named; 77: something is missing, in one line.
-With --install it gets Chromium from Debian's packages first, where it may and can.
+Exit code 0: all checks pass; 1: a check fails, with its name; 77: a requirement is missing, in one line.
+With --install it first tries to install Chromium from Debian's packages.
 """
 
 import argparse
@@ -35,12 +35,12 @@ from page_stage import (
     wait_until,
 )
 
-TOKEN = "a-token-for-the-test"  # noqa: S105 - of this test alone
+TOKEN = "a-token-for-the-test"  # noqa: S105 - used in this test only
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _PHONE = 664
 """Height that a phone 844 pixels high leaves to a page [px]."""
 _INSTALLING = 300
-"""So long a package manager may take [s]."""
+"""Time limit of the package manager [s]."""
 _OFFLINE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
 _COLOURS = """(() => {
   const map = document.getElementById("map");
@@ -50,7 +50,7 @@ _COLOURS = """(() => {
 
 
 def check_open_and_moving(first: Page) -> str:
-    """Numbers in the tiles, colours on the map, and both vehicles on their way."""
+    """Check numbers in the tiles, colours on the map, and the motion of both vehicles."""
     before = {name: first.position(name) for name in ("uav_0", "ugv_0")}
     wait_until(
         lambda: all(first.position(name) != before[name] for name in before), "both vehicles move"
@@ -66,7 +66,7 @@ def check_open_and_moving(first: Page) -> str:
 
 
 def check_policy(context: Any, address: str) -> str:
-    """HTML that has got into the page runs no script, nor does one from elsewhere; no other page frames it."""
+    """Check that injected HTML and foreign scripts do not run, and that no other page can frame this one."""
     page = context.new_page()
     page.goto(address)
     page.evaluate("""() => {
@@ -86,13 +86,13 @@ def check_policy(context: Any, address: str) -> str:
     if any(frame.url.startswith(address) for frame in outside.frames):
         raise Failed("the page lets itself be framed")
     outside.close()
-    return "no script but its own, in nobody's frame"
+    return "only its own scripts run, and no other page frames it"
 
 
 def check_frame_rate(first: Page) -> str:
-    """Twenty a second on a machine that has time; on one that has not fewer, and never more.
+    """Check the frame rate: at most 20 frames/s, fewer on a slow machine.
 
-    The rate is told, not judged.
+    The rate itself is reported, not judged.
     """
     count, began = first.run("outrider.stats.frames"), time.monotonic()
     time.sleep(5.0)
@@ -103,7 +103,7 @@ def check_frame_rate(first: Page) -> str:
 
 
 def check_reload(first: Page) -> str:
-    """Past and state are there again after a reload."""
+    """Check that charts and state are back after a reload."""
     rows = first.run("outrider.store.rows.length")
     first.page.reload()
     first.ready()
@@ -114,9 +114,9 @@ def check_reload(first: Page) -> str:
 
 
 def check_key(first: Page) -> str:
-    """Keys drive, and releasing them brakes."""
+    """Check that keys drive the UGV and that it brakes when they are released."""
     first.page.keyboard.down("ArrowUp")
-    wait_until(lambda: first.wheel() == "mine", "the first key takes control")
+    wait_until(lambda: first.control() == "mine", "the first key takes control")
     wait_until(lambda: first.status["drivers"]["ugv_0"] == "teleop", "teleop drives")
     wait_until(lambda: first.velocity()[1] > 0.1, "a key drives the UGV north")
     first.page.keyboard.up("ArrowUp")
@@ -131,7 +131,7 @@ def check_key(first: Page) -> str:
 
 
 def check_pad(first: Page) -> str:
-    """So does a gamepad."""
+    """Check that a gamepad drives the UGV."""
     first.run(
         "window.pads = [{ id: 'stub pad', connected: true, axes: [-1, 0, 0, 0], buttons: [] }]"
     )
@@ -146,7 +146,7 @@ def check_pad(first: Page) -> str:
 
 
 def _box(page: Page, selector: str) -> dict[str, float]:
-    """Edges of an element in the viewport [px]."""
+    """Return the edges of an element in the viewport [px]."""
     found: dict[str, float] = page.run(
         f"document.querySelector('{selector}').getBoundingClientRect().toJSON()"
     )
@@ -154,7 +154,7 @@ def _box(page: Page, selector: str) -> dict[str, float]:
 
 
 def _check_width(page: Page) -> None:
-    """Nothing sticks out of the page, or out of its tile, and a button has one line."""
+    """Check that the page fits its window and each tile its text."""
     if page.run("document.documentElement.scrollWidth > innerWidth"):
         raise Failed("the page is wider than its window")
     cut = page.run(
@@ -165,7 +165,7 @@ def _check_width(page: Page) -> None:
 
 
 def check_tablet(context: Any, address: str, pictures: Path | None, complaints: list[str]) -> str:
-    """At 820 pixels no half of the page is empty."""
+    """Check that no half of the page is empty at 820 pixels."""
     page = Page(context, address, complaints)
     _check_width(page)
     ground, charts, side = (_box(page, what) for what in (".map-card", ".charts", ".side"))
@@ -179,14 +179,14 @@ def check_tablet(context: Any, address: str, pictures: Path | None, complaints: 
 
 
 def check_phone(page: Page) -> str:
-    """Map and wheel fit one screen of a phone, with a browser's own bars above and below."""
+    """Check that map and stick fit one screen of a phone, with the bars of a browser above and below."""
     _check_width(page)
     places = {what: _box(page, what) for what in ("#map", "#stick", "#take")}
     lowest = max(box["bottom"] for box in places.values())
     if min(box["top"] for box in places.values()) < 0.0 or lowest > _PHONE:
-        raise Failed(f"map and wheel do not fit {_PHONE} pixels: {places}")
+        raise Failed(f"map and stick do not fit {_PHONE} pixels: {places}")
     if page.page.locator(".map-card .legend").is_visible():
-        raise Failed("the legend takes the wheel's room")
+        raise Failed("the legend takes the room of the stick")
     page.page.locator("#map-legend").tap()
     wait_until(page.page.locator(".map-card .legend").is_visible, "a tap on ? explains the map")
     page.page.locator("#map-legend").tap()
@@ -194,7 +194,7 @@ def check_phone(page: Page) -> str:
 
 
 def check_zoom(page: Page, context: Any) -> str:
-    """Buttons, two fingers and a drag change what the map shows; it follows the UGV, and shows all again."""
+    """Check that buttons, pinch and drag change the map's section, and that it follows the UGV."""
     shown = "[outrider.ground.view.left, outrider.ground.view.bottom, outrider.ground.view.width]"
     page.page.locator("#map-follow").tap()
     for _ in range(3):
@@ -225,32 +225,34 @@ def check_zoom(page: Page, context: Any) -> str:
     for moved in (10.0, 30.0, 60.0):
         fingers("touchMove", x - moved)
     fingers("touchEnd")
-    wait_until(lambda: not page.run("outrider.ground.follows"), "whoever drags follows nobody")
-    page.page.locator("#map-all").click()  # a tap within milliseconds of a drag is none to Chromium
+    wait_until(lambda: not page.run("outrider.ground.follows"), "a drag ends the following")
+    page.page.locator("#map-all").click()  # Chromium ignores a tap within milliseconds of a drag.
     wait_until(lambda: page.run(shown) == [0, 0, 40], "the whole ground is shown again")
     return f"{width:.1f} m around the UGV, two fingers, a drag, all"
 
 
-def check_one_wheel(first: Page, second: Page) -> str:
-    """One browser drives; the other cannot, until the first has gone."""
-    wait_until(lambda: second.wheel() == "other", "the other browser sees that somebody drives")
+def check_one_operator(first: Page, second: Page) -> str:
+    """Check that one browser drives and the other cannot until the first has closed."""
+    wait_until(
+        lambda: second.control() == "other", "the other browser sees that another one drives"
+    )
     if "drives ugv_0" not in second.page.locator("#who").inner_text():
         raise Failed("the other browser does not see who drives")
     second.run("outrider.take()")
     second.page.keyboard.down("ArrowUp")
     time.sleep(1.5)
     second.page.keyboard.up("ArrowUp")
-    if second.wheel() != "other" or first.wheel() != "mine" or second.speed() > 0.01:
-        raise Failed("a second browser has got at the wheel")
+    if second.control() != "other" or first.control() != "mine" or second.speed() > 0.01:
+        raise Failed("a second browser has taken control")
     first.page.close()
-    wait_until(lambda: second.wheel() == "free", "the wheel is free once its browser has gone")
-    return "one drives, the other sees who; a closed page frees the wheel"
+    wait_until(lambda: second.control() == "free", "control is free once its browser has closed")
+    return "one drives, the other sees who; a closed page frees control"
 
 
 def check_touch(second: Page, context: Any) -> str:
-    """A finger on the stick of a phone, and handing back."""
+    """Check the touch stick of a phone, and handing back."""
     second.page.get_by_role("button", name="Take control").tap()
-    wait_until(lambda: second.wheel() == "mine", "a tap takes the wheel")
+    wait_until(lambda: second.control() == "mine", "a tap takes control")
     stick = second.page.locator("#stick")
     stick.scroll_into_view_if_needed()
     box = stick.bounding_box()
@@ -268,14 +270,14 @@ def check_touch(second: Page, context: Any) -> str:
     wait_until(lambda: second.speed() < 0.01, "lifted, it brakes")
     second.click("Hand back")
     wait_until(
-        lambda: second.status["drivers"]["ugv_0"] == "waypoints", "the driver from before drives on"
+        lambda: second.status["drivers"]["ugv_0"] == "waypoints", "the previous driver continues"
     )
-    wait_until(lambda: second.wheel() == "free" and second.speed() > 0.05, "and moves")
-    return "a finger drives; handing back gives the wheel to the driver from before"
+    wait_until(lambda: second.control() == "free" and second.speed() > 0.05, "and moves")
+    return "a finger drives; handing back returns control to the previous driver"
 
 
 def check_controls(page: Page) -> str:
-    """All that is not the wheel."""
+    """Check all controls except teleoperation."""
     page.click("Pause")
     wait_until(lambda: page.status["paused"], "the run pauses")
     resume, step = (page.page.get_by_role("button", name=name) for name in ("Resume", "Step"))
@@ -314,7 +316,7 @@ def check_controls(page: Page) -> str:
 
 
 def _slider(page: Page, label: str, share: float) -> None:
-    """Drag a slider with the mouse, slowly enough for a careless page to tell of every step."""
+    """Drag a slider with the mouse, slowly enough that a faulty page would send every step."""
     slider = page.page.get_by_role("slider", name=label)
     slider.scroll_into_view_if_needed()
     box = slider.bounding_box()
@@ -328,7 +330,7 @@ def _slider(page: Page, label: str, share: float) -> None:
 
 
 def check_links(page: Page) -> str:
-    """A slider degrades a link, a blackout is dark, a refusal is shown, and all can be made perfect again."""
+    """Check that a slider degrades a link, and that blackout, refusal and reset of the links are shown."""
     name = "uav_0/detections"
     row = page.page.locator(f"[data-link='{name}']")
 
@@ -346,8 +348,8 @@ def check_links(page: Page) -> str:
     wait_until(lambda: 0.3 < link()["settings"]["loss"] < 0.7, "the slider sets the loss")
     share = link()["settings"]["loss"]
     wait_until(lambda: link()["lost"]["loss"] > 0, "detections are lost")
-    if (said := len(page.status["changes"]) - before) != 1:
-        raise Failed(f"one drag of a slider has said {said} things")
+    if (count := len(page.status["changes"]) - before) != 1:
+        raise Failed(f"one drag of a slider has sent {count} controls")
     if any(other["degraded"] for key, other in page.status["links"].items() if key != name):
         raise Failed("other links are degraded too")
     wait_until(
@@ -384,17 +386,17 @@ def check_links(page: Page) -> str:
     wait_until(
         lambda: not refusal.inner_text() and "perfect" in row.inner_text(), "and the page says so"
     )
-    return f"one word for a drag, loss {100 * share:.0f} %; blackout of 2 s; a refusal with its reason; perfect again"
+    return f"one control for a drag, loss {100 * share:.0f} %; blackout of 2 s; refusal with reason; perfect again"
 
 
 def check_observer(processes: Processes, context: Any, complaints: list[str]) -> str:
-    """An observer sees all, and is told why nothing can be changed."""
+    """Check that an observer sees everything, and why nothing can be changed."""
     page = Page(context, processes.address(OBSERVERS), complaints)
     tick = page.tick
     wait_until(lambda: page.tick > tick, "it moves")
     wait_until(lambda: page.page.locator("#links .link-row").count() == 5, "the links are shown")
     if page.page.get_by_text("read-only").count() != 1:
-        raise Failed("an observer is not told why nothing can be changed")
+        raise Failed("an observer does not see why nothing can be changed")
     for button in page.page.locator(".side .q-btn").all():
         if button.is_enabled():
             raise Failed(f"an observer can press {button.inner_text()!r}")
@@ -409,7 +411,7 @@ def check_recording(
     pictures: Path | None,
     complaints: list[str],
 ) -> str:
-    """It is played, paused, wound and stepped; nothing else can be touched."""
+    """Check that a recording plays, pauses, seeks and steps, and that all other controls are disabled."""
     page = Page(context, processes.address("replay"), complaints)
     wait_until(lambda: page.tick > 20, "it is played")
     page.click("Pause")
@@ -424,7 +426,7 @@ def check_recording(
         if page.page.get_by_role("button", name=name).is_enabled():
             raise Failed(f"a recording lets one press {name}")
     if page.page.get_by_text("this is a recording").count() != 2:
-        raise Failed("it is not said why nothing can be steered")
+        raise Failed("it does not say why nothing can be steered")
     page.click("Play")
     wait_until(page.banner, "it says that it is at its end")
     if pictures is not None:
@@ -437,7 +439,7 @@ def check_recording(
 
 
 def check_dead_simulator(page: Page, processes: Processes) -> str:
-    """It is said, and it passes."""
+    """Check that a dead simulator is reported until the next one runs."""
     processes.kill("simulator")
     began = time.monotonic()
     line = wait_until(page.banner, "the page says that the simulator is gone", 6.0)
@@ -452,33 +454,33 @@ def check_dead_simulator(page: Page, processes: Processes) -> str:
 
 
 Refused = dict[str, tuple["subprocess.Popen[str]", str]]
-"""By what is wrong with them: processes that are to end, and what they are to say."""
+"""Fault -> process that must end, and the expected key phrase."""
 
 
 def refused_dashboards(processes: Processes, port: int) -> Refused:
-    """Dashboards that are to be refused; all that takes time, so that they are looked at later."""
+    """Start dashboards that must be refused; they take time, so their results are checked later."""
     refused = {
         "a taken port": (["--port", str(port)], "cannot listen"),
         "a host without token": (["--host", "0.0.0.0", "--no-token"], "--no-token"),  # noqa: S104 - which is refused
         "a short token": (["--token", "short"], "--token"),
     }
     tried = {}
-    for what, (arguments, said) in refused.items():
+    for what, (arguments, phrase) in refused.items():
         command = [*OUTRIDER, "dashboard", *arguments, "--connect", processes.endpoint]
         command += ["--run", RUN, "--credentials", processes.files["operator"]]
         process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
-        tried[what] = (process, said)
+        tried[what] = (process, phrase)
     return tried
 
 
 def check_doors(port: int, second: int, processes: Processes, refused: Refused) -> str:
-    """Admission to the page, also of a second one whose token is chosen, and the words for who is not admitted."""
-    for what, (process, said) in refused.items():
-        told = process.communicate(timeout=60)[1]
-        if process.returncode != 2 or said not in told or len(told.strip().splitlines()) != 1:
-            raise Failed(f"{what}: exit code {process.returncode}, {told!r}")
+    """Check who may open the page, also with a chosen token, and the messages for those who may not."""
+    for what, (process, phrase) in refused.items():
+        errors = process.communicate(timeout=60)[1]
+        if process.returncode != 2 or phrase not in errors or len(errors.strip().splitlines()) != 1:
+            raise Failed(f"{what}: exit code {process.returncode}, {errors!r}")
     upgrade = {
         "Upgrade": "websocket",
         "Connection": "Upgrade",
@@ -519,7 +521,7 @@ def _expect(port: int, path: str, headers: dict[str, str], status: int) -> str:
 
 @contextlib.contextmanager
 def staged(port: int) -> Iterator[Processes]:
-    """The run, with its logs printed when something fails."""
+    """Start the run; print its logs if a check fails."""
     with tempfile.TemporaryDirectory(prefix="o-") as folder:
         processes = Processes(Path(folder))
         try:
@@ -533,7 +535,7 @@ def staged(port: int) -> Iterator[Processes]:
 
 
 def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:
-    """All checks, in order."""
+    """Run all checks, in order."""
     port = free_port()
     address = f"http://127.0.0.1:{port}/"
     complaints: list[str] = []
@@ -573,7 +575,7 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:
             tablet = browser.new_context(viewport={"width": 820, "height": 1180})
             tablet.add_cookies(phone.cookies())
             report("on a tablet", check_tablet(tablet, address, pictures, complaints))
-            report("several browsers", check_one_wheel(first, second))
+            report("several browsers", check_one_operator(first, second))
             report("touch", check_touch(second, phone))
             refused, door = refused_dashboards(processes, port), free_port()
             token = ("--port", str(door), "--token", TOKEN)
@@ -592,12 +594,12 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:
 
 
 def find_browser() -> str:
-    """Path of Chromium; empty: there is none."""
+    """Return the path of Chromium, or an empty string."""
     return next(filter(None, map(shutil.which, (os.environ.get("CHROMIUM", ""), *BROWSERS))), "")
 
 
 def install_browser() -> None:
-    """Debian's, if this is Debian and we are root; whatever happens, `missing` tells how it stands afterwards."""
+    """Install Debian's Chromium if this is Debian and we are root; `missing` reports a failure."""
     if find_browser() or os.getuid() != 0 or shutil.which("apt-get") is None:
         return
     say("page-test: installing chromium from Debian's packages")
@@ -619,12 +621,12 @@ def install_browser() -> None:
                 check=False,
             )
             if done.returncode:
-                said = done.stderr.strip() or done.stdout.strip() or "no word why"
-                say(f"page-test: apt-get {words[0]} failed: {said.splitlines()[-1]}")
+                reason = done.stderr.strip() or done.stdout.strip() or "no reason given"
+                say(f"page-test: apt-get {words[0]} failed: {reason.splitlines()[-1]}")
 
 
 def missing() -> str:
-    """A line about what this test needs and does not find; empty: nothing."""
+    """Return a line about a missing requirement, or an empty string."""
     for module, extra in (("playwright", "playwright"), ("nicegui", "-e '.[dashboard]'")):
         try:
             __import__(module)

@@ -46,7 +46,7 @@ _GOAL_IS_DRAWN = """(() => {
 
 
 def _scenario() -> str:
-    """Three pairs, near one another."""
+    """Return the text of a scenario with three pairs, near one another."""
     lines = ['title = "Three pairs"', "duration = 400.0", '[law]\nname = "certified"']
     for k in range(_PAIRS):
         x, y = 7.0 + 6.0 * k, 8.0 + 4.0 * k
@@ -71,7 +71,7 @@ def _none(page: Page, script: str, what: str) -> None:
 
 
 def check_pairs(browser: Any, processes: Processes, pictures: Path | None) -> str:
-    """All that a page with three pairs shows, light and dark, wide and narrow, to the end of the run."""
+    """Check everything on a page with three pairs, light and dark, wide and narrow, to the end of the run."""
     run = processes.run(_scenario(), "--realtime", "3")
     complaints: list[str] = []
     context = browser.new_context(viewport={"width": 1280, "height": 800}, color_scheme="light")
@@ -93,7 +93,7 @@ def check_pairs(browser: Any, processes: Processes, pictures: Path | None) -> st
 
 
 def _check_layout(page: Page, pictures: Path | None, name: str) -> None:
-    """No name lies on another, nothing sticks out, and processes have their names, wide and narrow."""
+    """Check that no names overlap, nothing sticks out, and processes are named, wide and narrow."""
     for width, height in ((390, 844), (1280, 800)):
         page.page.set_viewport_size({"width": width, "height": height})
         time.sleep(1.0)
@@ -112,7 +112,7 @@ def _check_layout(page: Page, pictures: Path | None, name: str) -> None:
 def _check_legends(page: Page) -> None:
     text = page.page.locator(".map-card .legend").inner_text()
     vehicles = page.run("Object.keys(outrider.store.truth.vehicles)")
-    told = [
+    entries = [
         *vehicles,
         "visibility radius",
         "switching radius",
@@ -120,7 +120,7 @@ def _check_legends(page: Page) -> None:
         "UAV to its UGV",
         "goal",
     ]
-    lacking = [one for one in told if one not in text]
+    lacking = [one for one in entries if one not in text]
     charts = page.page.locator(".charts .legend").inner_text()
     lacking += [name for name in vehicles if name.startswith("uav") and name not in charts]
     if lacking:
@@ -129,7 +129,7 @@ def _check_legends(page: Page) -> None:
 
 
 def _check_selection(page: Page) -> None:
-    """The close-up and the map follow the vehicle that is pointed at."""
+    """Check that close-up and map follow the selected vehicle."""
 
     def point() -> bool:
         x, y = page.run(
@@ -145,7 +145,7 @@ def _check_selection(page: Page) -> None:
     page.page.select_option("#map-vehicle", "ugv_1")
     wait_until(lambda: page.run(shown) == "ugv_1", "the close-up shows ugv_1")
     if page.run("document.getElementById('wheel-vehicle').value") != "ugv_1":
-        raise Failed("the wheel is not that of the selected vehicle")
+        raise Failed("teleoperation does not follow the selected vehicle")
 
 
 def _check_dark(page: Page, pictures: Path | None) -> None:
@@ -186,7 +186,7 @@ def _check_ranges(page: Page) -> None:
         act()
         time.sleep(1.0)
         if page.status["paused"] or page.status["changes"]:
-            raise Failed(f"{label} = {wrong} has been said")
+            raise Failed(f"{label} = {wrong} has been sent")
         page.page.get_by_label(label).fill(right)
         wait_until(lambda shown=message: not shown.is_visible(), "the message goes")
 
@@ -209,7 +209,7 @@ def _check_end(page: Page, run: "subprocess.Popen[bytes]", pictures: Path | None
 
 @contextlib.contextmanager
 def _plain_proxy(port: int) -> Iterator[int]:
-    """A proxy that passes HTTP on to this port, and no WebSockets; its own port."""
+    """Return the port of a proxy to this port that passes HTTP but no WebSockets."""
 
     class Proxy(http.server.BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
@@ -235,7 +235,7 @@ def _plain_proxy(port: int) -> Iterator[int]:
             self.send_header("Content-Length", str(len(content)))
             self.end_headers()
             if self.command != "HEAD":
-                with contextlib.suppress(BrokenPipeError):  # the page has been closed
+                with contextlib.suppress(BrokenPipeError):  # the page was closed
                     self.wfile.write(content)
 
         do_POST = do_HEAD = do_GET  # noqa: N815 - the library's names
@@ -249,7 +249,7 @@ def _plain_proxy(port: int) -> Iterator[int]:
 
 
 def check_proxy(context: Any, port: int) -> str:
-    """Without its WebSocket the page says so, blames no other process, and offers no control."""
+    """Check that without a WebSocket the page says so, blames no other process, and offers no control."""
     with _plain_proxy(port) as proxied:
         page = context.new_page()
         page.goto(f"http://127.0.0.1:{proxied}/")

@@ -1,4 +1,4 @@
-"""The run and the browser's pages that `page.py` checks."""
+"""Processes and browser pages for the checks of `page.py`."""
 
 import json
 import math
@@ -19,17 +19,17 @@ _PAD = """window.pads = [null]; navigator.getGamepads = () => window.pads;"""
 
 
 class Failed(Exception):
-    """Something is not as it should be."""
+    """A failed check."""
 
 
 def say(line: str) -> None:
-    """A line of the report."""
+    """Print a line of the report."""
     sys.stdout.write(line + "\n")
     sys.stdout.flush()
 
 
 def free_port() -> int:
-    """A port that nobody listens on."""
+    """Return a port on which no process listens."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
@@ -37,7 +37,7 @@ def free_port() -> int:
 
 
 def wait_until(condition: Callable[[], Any], what: str, seconds: float = 20.0) -> Any:
-    """Wait for the condition; the first true value that it gives."""
+    """Wait until the condition is true, and return its value."""
     limit = time.monotonic() + seconds
     while not (found := condition()):
         if time.monotonic() > limit:
@@ -47,13 +47,13 @@ def wait_until(condition: Callable[[], Any], what: str, seconds: float = 20.0) -
 
 
 def answers(port: int) -> bool:
-    """True if somebody listens there."""
+    """Return whether a process listens on the port."""
     with socket.socket() as probe:
         return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 class Processes:
-    """The processes of the run, each started by hand."""
+    """The processes of a run, started one by one."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -69,7 +69,7 @@ class Processes:
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self, kind: str, *arguments: str, name: str = "") -> "subprocess.Popen[bytes]":
-        """One process, with its own credentials."""
+        """Start a process with its own credentials."""
         where = (
             ["--listen", self.endpoint]
             if kind == "router"
@@ -81,7 +81,7 @@ class Processes:
         return self._launch(name, kind, *arguments, "--credentials", credential, *where)
 
     def _launch(self, name: str, *words: str) -> "subprocess.Popen[bytes]":
-        """A process of ours under a name, with a log of this name."""
+        """Start an outrider command; it logs to a file of this name."""
         with (self._folder / f"{name}.log").open("ab") as log:
             process = subprocess.Popen(
                 [*OUTRIDER, *words],
@@ -94,9 +94,9 @@ class Processes:
         return process
 
     def start_all(self, port: int) -> None:
-        """A flight that is recorded, then the whole run and the dashboard on this port.
+        """Record a run, then start all processes of another run and the dashboard on this port.
 
-        The flight comes first, as where nothing is compiled yet it compiles for all that wait for one another later.
+        The recording comes first: it compiles, so that the processes of the run do not wait for one another.
         """
         words = ("run", "escort", "--in-process", "--no-files", "--duration", "25")
         recording = self._launch("recording", *words, "--record", str(self._folder / "run.mcap"))
@@ -111,44 +111,44 @@ class Processes:
         wait_until(lambda: answers(port), "the dashboard listens", 60.0)
 
     def log(self, name: str) -> str:
-        """All that a process has said."""
+        """Return the log of a process."""
         return (self._folder / f"{name}.log").read_text(errors="replace")
 
     def address(self, name: str) -> str:
-        """Address of the page as a process prints it, with the token that opens it."""
+        """Return the page's address that a process prints, with its token."""
 
-        def told() -> "re.Match[str] | None":
+        def printed() -> "re.Match[str] | None":
             return re.search(r"http://127\.0\.0\.1:\d+/\?token=[\w-]+", self.log(name))
 
-        found: re.Match[str] = wait_until(told, f"{name} says where its page is", 40.0)
+        found: re.Match[str] = wait_until(printed, f"{name} says where its page is", 40.0)
         return found.group(0)
 
     def replay(self) -> None:
-        """A recording of 25 s, played slowly; its page opens soon."""
+        """Replay a recording of 25 s slowly, with its page."""
         path, port = str(self._folder / "run.mcap"), free_port()
         words = ("--with", f"dashboard:port={port}", "--realtime", "0.5")
         self._launch("replay", "replay", path, *words)
 
     def run(self, scenario: str, *words: str) -> "subprocess.Popen[bytes]":
-        """A whole run with its page, of a scenario whose name is HTML; its log is called `pairs`."""
+        """Start a whole run with its page, from a scenario with HTML in its name; the log is called `pairs`."""
         file = self._folder / "pairs <img src='data:,' onerror='window.ran = true'>.toml"
         file.write_text(scenario)
         page = ("--with", "dashboard:port=0", "--no-files")
         return self._launch("pairs", "run", str(file), *page, *words)
 
     def simulator(self, factor: float) -> None:
-        """A simulator that keeps the wall clock."""
+        """Start a simulator in real time."""
         words = ("escort", "--duration", "20000", "--realtime", str(factor))
         self.start("simulator", *words, "--join-timeout", "120")
 
     def kill(self, name: str) -> None:
-        """As a crash would."""
+        """Kill a process, like a crash."""
         process = self._running.pop(name)
         process.send_signal(signal.SIGKILL)
         process.wait()
 
     def end(self) -> None:
-        """End all that still runs."""
+        """End all running processes."""
         for process in self._running.values():
             process.terminate()
         for process in self._running.values():
@@ -159,7 +159,7 @@ class Processes:
                 process.wait()
 
     def logs(self) -> str:
-        """The last words of each process."""
+        """Return the last lines of each log."""
         return "\n".join(
             f"--- {path.name}\n{path.read_text(errors='replace')[-1500:]}"
             for path in self._folder.glob("*.log")
@@ -167,12 +167,12 @@ class Processes:
 
 
 class Page:
-    """One browser's page, and all it complains about.
+    """A page in a browser, and its complaints.
 
     Args:
-        context: The browser's.
-        address: Of the page.
-        complaints: Takes what the browser says, and requests that leave this machine.
+        context: The browser context.
+        address: Address of the page.
+        complaints: Receives the messages of the browser, and requests that leave this machine.
     """
 
     def __init__(self, context: Any, address: str, complaints: list[str]) -> None:
@@ -180,29 +180,29 @@ class Page:
         self.page = context.new_page()
         here = (address.partition("?")[0], "data:", "blob:")
 
-        def note(message: Any) -> None:
+        def on_message(message: Any) -> None:
             if message.type in ("error", "warning"):
                 complaints.append(f"console: {message.text}")
 
-        def watch(request: Any) -> None:
+        def on_request(request: Any) -> None:
             if not request.url.startswith(here):
                 complaints.append(f"a request left this machine: {request.url}")
 
-        self.page.on("console", note)
+        self.page.on("console", on_message)
         self.page.on("pageerror", lambda error: complaints.append(f"script: {error}"))
-        self.page.on("request", watch)
+        self.page.on("request", on_request)
         self.page.goto(address)
         self.ready()
         if "?" in self.page.url:
             raise Failed(f"the token stays in the bar: {self.page.url}")
 
     def ready(self) -> None:
-        """Wait until it shows a run."""
+        """Wait until the page shows a run."""
         shows = "window.outrider && outrider.store.status && outrider.store.truth && true"
         wait_until(lambda: self.run(shows), "the page shows a run")
 
     def run(self, script: str) -> Any:
-        """Value of an expression in the page."""
+        """Return the value of an expression in the page."""
         return self.page.evaluate(f"() => ({script})")
 
     @property
@@ -212,7 +212,7 @@ class Page:
 
     @property
     def status(self) -> dict[str, Any]:
-        """The last one that the page has."""
+        """Return the newest status of the page."""
         found: dict[str, Any] = self.run("outrider.store.status")
         return found
 
@@ -222,29 +222,29 @@ class Page:
         return found
 
     def velocity(self) -> list[float]:
-        """The UGV's [m/s]."""
+        """Return the displayed velocity of the UGV [m/s]."""
         found: list[float] = self.run("outrider.store.truth.vehicles.ugv_0.velocity")
         return found
 
     def speed(self) -> float:
-        """The UGV's [m/s]."""
+        """Return the displayed speed of the UGV [m/s]."""
         return math.hypot(*self.velocity())
 
-    def wheel(self) -> str:
-        """The holder of the wheel: `mine`, `other` or `free`."""
+    def control(self) -> str:
+        """Return who has control: `mine`, `other` or `free`."""
         return str(self.run("document.getElementById('wheel-card').dataset.wheel"))
 
     def banner(self) -> str:
-        """The fault that the page shows; empty: none."""
+        """Return the fault that the page shows, or an empty string."""
         banner = "document.getElementById('banner')"
         return str(self.run(f"{banner}.hidden ? '' : {banner}.innerText"))
 
     def click(self, text: str) -> None:
-        """A button."""
+        """Click a button."""
         self.page.get_by_role("button", name=text, exact=False).click()
 
     def choose(self, label: str, option: str) -> None:
-        """An option of a list."""
+        """Choose an option of a list."""
         self.page.get_by_role("combobox", name=label).click()
         self.page.get_by_role("option").filter(
             has=self.page.get_by_text(option, exact=True)

@@ -1,7 +1,7 @@
-"""`outrider fmu` against what others wrote: fmpy validates and simulates the units, and drives them with a flight.
+"""`outrider fmu` with third-party programs: fmpy validates and simulates the units, and drives them with a run.
 
-fmpy and pythonfmu3 live in an environment of their own, `.venv-fmi`, with Outrider as a user installs it: it is made on
-the first call. Half a minute then: make bridge-test ARGS=fmi
+fmpy and pythonfmu3 live in an environment of their own, `.venv-fmi`, with Outrider installed as a user installs it. The
+first call creates it; later calls take half a minute: make bridge-test ARGS=fmi
 """
 
 import json
@@ -14,13 +14,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from bridge_checks import ROOT, Row, called, environment, output, outrider, report, told
+from bridge_checks import ROOT, Row, called, environment, json_of, output, outrider, report
 
 FOREIGN = Path(__file__).resolve().parent / "foreign"
 
 NEEDED = ("fmpy>=0.3.32,<0.4", "pythonfmu3>=0.3.4,<0.4")
 FLIGHT = ("escort", "--duration", 60, "--seed", 3)
-"""Every unit's and every run's."""
+"""Arguments of all units and runs."""
 CRASHES = {
     "raises in a step": ("raise RuntimeError('the wheel is off')", "the wheel is off"),
     "dies in a step": ("import os; os.kill(os.getpid(), 11)", "signal 11"),
@@ -28,19 +28,19 @@ CRASHES = {
 
 
 def flown(*words: object) -> dict[str, Any]:
-    """The summary of a run of the flight."""
-    return told("run", *FLIGHT, "--no-picture", "--json", *words)
+    """Return the summary of a run."""
+    return json_of("run", *FLIGHT, "--no-picture", "--json", *words)
 
 
 def from_outside(folder: Path, python: Path) -> Iterator[Row]:
-    """Our units, and fmpy as their master."""
+    """Check our units with fmpy as their master."""
     for what in ("uav", "ugv", "world"):
         output(*outrider("fmu", "export", what, *FLIGHT, "--out", folder / f"{what}.fmu"))
     (folder / "master").mkdir()
     # fmpy leaves a folder when a step is refused
     environ = os.environ | {"TMPDIR": str(folder / "master")}
-    said = output(python, FOREIGN / "fmi_master.py", folder, env=environ).splitlines()
-    found = json.loads(said[-1])
+    lines = output(python, FOREIGN / "fmi_master.py", folder, env=environ).splitlines()
+    found = json.loads(lines[-1])
     wrong = {name: problems for name, problems in found["problems"].items() if problems}
     yield Row(
         "fmpy validates the units of UAV, UGV and world", f"problems: {wrong or 'none'}", not wrong
@@ -56,7 +56,7 @@ def from_outside(folder: Path, python: Path) -> Iterator[Row]:
         yield Row(f"fmpy gives the {name}'s unit what it perceived: it answers what was flown",
                   f"{one['rows'] - 1} steps, at most {one['differ']:.2g} m/s² off{certified}",
                   one["differ"] <= 1e-15 and one["rows"] == 1201)  # fmt: skip
-    why = [line for line in said if "allowed: steps of 0.05 s" in line]
+    why = [line for line in lines if "allowed: steps of 0.05 s" in line]
     yield Row(
         "a step of 0.1 s is refused",
         f"{found['refused']}; {why[-1:]}",
@@ -65,13 +65,13 @@ def from_outside(folder: Path, python: Path) -> Iterator[Row]:
 
 
 def from_c(folder: Path, python: Path) -> Iterator[Row]:
-    """A master in C, which has to load a Python for the unit."""
+    """Check the world's unit with a master in C, which must load a Python for it."""
     what = "a master in C simulates the world: it ends where the run ends"
-    asked = (
+    code = (
         "from sysconfig import *; "
         "print(*map(get_config_var, ('LIBDIR', 'LDLIBRARY')), get_path('purelib'), sep='\\n')"
     )
-    where, name, packages = called(python, "-c", asked).stdout.splitlines()
+    where, name, packages = called(python, "-c", code).stdout.splitlines()
     libpython, compiler = Path(where, name), shutil.which("cc")
     if compiler is None or libpython.suffix != ".so" or not libpython.exists():
         yield Row(what, f"not tried: C compiler {compiler}, Python's library {libpython}", True)
@@ -96,8 +96,8 @@ def from_c(folder: Path, python: Path) -> Iterator[Row]:
     yield Row(what, value, same and done.returncode == 0)
 
 
-def at_the_wheel(folder: Path, python: Path, here: str) -> Iterator[Row]:
-    """Units that drive: one of ours, and one that somebody wrote with plain pythonfmu3."""
+def driving(folder: Path, python: Path, here: str) -> Iterator[Row]:
+    """Check units that drive: one of ours, and one written with plain pythonfmu3."""
     driver = ("--no-files", "--driver", f"fmu:{folder / 'ugv.fmu'}")
     for where, words in (("three processes", ()), ("one process", ("--in-process",))):
         summary = flown(*driver, *words)
@@ -105,8 +105,8 @@ def at_the_wheel(folder: Path, python: Path, here: str) -> Iterator[Row]:
         value = f"{summary['trajectory_sha256'][:16]}, {summary['ticks_per_second']:.0f} ticks/s"
         yield Row(f"the UGV's unit drives, {where}: the bits of the built-in driver", value, same)
     script = (FOREIGN / "fmi_wheel.py").read_text()
-    wheel = built(python, folder / "theirs", script)
-    summary = flown("--out", folder / "driven", "--driver", f"fmu:{wheel}")
+    unit = built(python, folder / "theirs", script)
+    summary = flown("--out", folder / "driven", "--driver", f"fmu:{unit}")
     kept = summary["visibility_violations"] == 0 and summary["certificate_broken"] == 0
     yield Row(
         "a unit of plain pythonfmu3 drives: sight kept",
@@ -122,11 +122,11 @@ def at_the_wheel(folder: Path, python: Path, here: str) -> Iterator[Row]:
 
 
 def crashed(folder: Path, python: Path) -> Iterator[Row]:
-    """Units that fail in a step. Whose process is killed leaves its temporary folder."""
+    """Check units that fail in a step; a killed process leaves its temporary folder."""
     script = (FOREIGN / "fmi_wheel.py").read_text()
     for what, (line, word) in CRASHES.items():
-        bad = script.replace('"""One step."""', f"if current_time > 5.0: {line}")
-        name = f"wheel_{what.split()[0]}"  # Python knows a module by its name
+        bad = script.replace('"""Advance by one step."""', f"if current_time > 5.0: {line}")
+        name = f"wheel_{what.split()[0]}"  # Python identifies a module by its name
         unit = built(python, folder / name, bad, name)
         done = called(*outrider("run", *FLIGHT, "--no-files", "--driver", f"fmu:{unit}"))
         lines = [one for one in done.stderr.splitlines() if word in one]
@@ -134,7 +134,7 @@ def crashed(folder: Path, python: Path) -> Iterator[Row]:
 
 
 def built(python: Path, folder: Path, script: str, name: str = "fmi_wheel") -> Path:
-    """The unit that pythonfmu3 makes of a script."""
+    """Build a unit with pythonfmu3 from a script."""
     folder.mkdir()
     (folder / f"{name}.py").write_text(script)
     output(python, "-m", "pythonfmu3", "build", "-f", f"{name}.py", cwd=folder)
@@ -142,14 +142,14 @@ def built(python: Path, folder: Path, script: str, name: str = "fmi_wheel") -> P
 
 
 def findings(folder: Path) -> Iterator[Row]:
-    """All checks; a folder for temporary things must be empty after them."""
+    """Run all checks; afterwards the folder for temporary files must be empty."""
     python = environment("fmi", (*NEEDED, "--editable", ROOT)) / "python"
     (folder / "tmp").mkdir()
     os.environ["TMPDIR"] = str(folder / "tmp")
     here = flown("--in-process", "--out", folder / "flight")["trajectory_sha256"]
     yield from from_outside(folder, python)
     yield from from_c(folder, python)
-    yield from at_the_wheel(folder, python, here)
+    yield from driving(folder, python, here)
     left = sorted(os.listdir(os.environ["TMPDIR"]))
     yield Row("left behind", left or "nothing", not left)
     yield from crashed(folder, python)

@@ -1,4 +1,4 @@
-"""RLlib meets the environment: spaces, values, ends, the example, and no process left behind.
+"""RLlib with the environment: spaces, values, episode ends, the example, and no process left behind.
 
 Run by `make learn-test`.
 """
@@ -44,11 +44,11 @@ def test_an_episode_is_the_bare_environments_to_its_end(kind, end):
         for name, row in expected.items():
             np.testing.assert_array_equal(seen[name], row)
         _, rewards, terminations, truncations, infos = answers
-        seen, paid, terminated, truncated, told = env.step(actions)
+        seen, paid, terminated, truncated, env_infos = env.step(actions)
         assert paid == rewards
         assert terminated == {**terminations, "__all__": all(terminations.values())}
         assert truncated == {**truncations, "__all__": all(truncations.values())}
-        assert told == infos
+        assert env_infos == infos
     assert env.observation_space.contains(seen)
     assert terminated["__all__"] is (end == "terminated")
     assert truncated["__all__"] is (end == "truncated")
@@ -60,7 +60,7 @@ def test_an_episode_is_the_bare_environments_to_its_end(kind, end):
 
 
 def marked(mark):
-    """Processes whose environment has this mark."""
+    """Return the processes whose environment contains this mark."""
     found = []
     for entry in Path("/proc").glob("[0-9]*/environ"):
         try:
@@ -71,7 +71,7 @@ def marked(mark):
                     .replace(b"\0", b" ")
                     .decode(errors="replace")
                 )
-        except OSError:  # it has ended, or is another user's
+        except OSError:  # ended, or of another user
             continue
     return found
 
@@ -79,7 +79,7 @@ def marked(mark):
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
 def test_the_example_learns_saves_and_leaves_nothing_behind(tmp_path):
     mark = f"OUTRIDER_TEST_{uuid.uuid4().hex}"
-    cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")  # not compiled anew
+    cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")  # not compiled again
     options = "--iterations 2 --batch 500 --duration 2 --runners 1 --out out"
     command = [sys.executable, str(EXAMPLES / "train_rllib.py"), *options.split()]
     with tempfile.TemporaryDirectory(prefix="r") as short:  # Ray's sockets need a short path
@@ -98,7 +98,7 @@ def test_the_example_learns_saves_and_leaves_nothing_behind(tmp_path):
         while marked(mark) and time.monotonic() < until:
             time.sleep(0.2)
         assert marked(mark) == []
-    assert any("raylet" in command for command in seen)  # it would have been found
+    assert any("raylet" in command for command in seen)  # the processes were found
     log = (tmp_path / "log").read_text()
     assert process.returncode == 0, log
     assert "random actions: 40 ticks" in log

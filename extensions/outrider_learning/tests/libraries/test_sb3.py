@@ -1,4 +1,4 @@
-"""Stable-Baselines3 on our vector environments: what it is told, step by step, and that it learns.
+"""Stable-Baselines3 on our vector environments: its inputs, step by step, and its learning.
 
 Run by `make learn-test`.
 """
@@ -81,9 +81,9 @@ def test_the_adapter_says_what_the_vector_environment_says(name, end):
     assert equal(raw.reset(seed=5)[0], adapter.reset())
     rng, returns, lengths, ends = np.random.default_rng(0), np.zeros(3), np.zeros(3, int), 0
     for _ in range(steps):
-        away = OUTWARDS if end == "terminated" else 0.0
-        actions = (away + rng.uniform(-0.05, 0.05, (3, 2))).astype(np.float32)
-        seen, rewards, terminated, truncated, told = raw.step(actions)
+        offset = OUTWARDS if end == "terminated" else 0.0
+        actions = (offset + rng.uniform(-0.05, 0.05, (3, 2))).astype(np.float32)
+        seen, rewards, terminated, truncated, raw_infos = raw.step(actions)
         got, paid, dones, infos = adapter.step(actions)
         assert equal(seen, got)
         assert paid.dtype == np.float32
@@ -95,7 +95,9 @@ def test_the_adapter_says_what_the_vector_environment_says(name, end):
             assert infos[k]["TimeLimit.truncated"] is bool(truncated[k] and not terminated[k])
             assert ("terminal_observation" in infos[k]) == ("episode" in infos[k]) == dones[k]
             if dones[k]:
-                assert equal(one_of_world(told["final_obs"], k), infos[k]["terminal_observation"])
+                assert equal(
+                    one_of_world(raw_infos["final_obs"], k), infos[k]["terminal_observation"]
+                )
                 assert infos[k]["episode"]["r"] == pytest.approx(returns[k], rel=1e-12)
                 assert infos[k]["episode"]["l"] == lengths[k]
                 assert infos[k]["episode"]["t"] > 0.0
@@ -107,7 +109,7 @@ def test_the_adapter_says_what_the_vector_environment_says(name, end):
     adapter.close()
 
 
-def test_infos_of_an_ended_episode_are_its_last_ones_and_the_new_one_has_its_own():
+def test_ended_episode_has_final_infos_and_the_next_its_own():
     raw = _rows(duration=0.1, safety_filter=True)
     adapter = VecEnvAdapter(_rows(duration=0.1, safety_filter=True))
     raw.reset(seed=1)
@@ -116,16 +118,16 @@ def test_infos_of_an_ended_episode_are_its_last_ones_and_the_new_one_has_its_own
     assert adapter.reset_infos[0].keys() == {"overridden", "certified", "certified_distance"}
     adapter.reset_infos = [{}, {}, {}]
     for _ in range(2):
-        *_, told = raw.step(np.tile(OUTWARDS, (3, 1)))
+        *_, raw_infos = raw.step(np.tile(OUTWARDS, (3, 1)))
         *_, infos = adapter.step(np.tile(OUTWARDS, (3, 1)))
     for k in range(3):
-        assert infos[k]["certified_distance"] == told["final_info"]["certified_distance"][k]
-        assert adapter.reset_infos[k]["certified_distance"] == told["certified_distance"][k]
+        assert infos[k]["certified_distance"] == raw_infos["final_info"]["certified_distance"][k]
+        assert adapter.reset_infos[k]["certified_distance"] == raw_infos["certified_distance"][k]
         assert infos[k]["certified_distance"] != adapter.reset_infos[k]["certified_distance"]
 
 
 class _Scripted(VectorEnv):
-    """Two worlds that count; what ends an episode is written down."""
+    """Two worlds with constant rewards and scripted episode ends."""
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
 
@@ -158,9 +160,7 @@ class _Scripted(VectorEnv):
 @pytest.mark.parametrize(
     ("terminated", "truncated", "limit"), [(1, 0, False), (0, 1, True), (1, 1, False)]
 )
-def test_a_time_limit_is_one_only_where_nothing_else_has_ended_the_episode(
-    terminated, truncated, limit
-):
+def test_time_limit_is_flagged_only_without_termination(terminated, truncated, limit):
     adapter = VecEnvAdapter(_Scripted([(bool(terminated), bool(truncated))]))
     adapter.reset()
     _, _, dones, infos = adapter.step(np.zeros((2, 1)))
@@ -214,14 +214,14 @@ def test_attributes_methods_and_layers():
     assert adapter.render_mode is None
 
 
-def test_a_truncated_end_is_worth_what_the_critic_says_of_its_last_observation():
+def test_truncated_end_is_bootstrapped_from_its_last_observation():
     class Recorded(VecEnvAdapter):
-        told: ClassVar = []
+        steps: ClassVar = []
 
         def step_wait(self):
             seen, rewards, dones, infos = super().step_wait()
-            # the library adds to the rewards in their place
-            self.told.append((rewards.copy(), dones, infos))
+            # the library changes the rewards in place
+            self.steps.append((rewards.copy(), dones, infos))
             return seen, rewards, dones, infos
 
     class Compare(BaseCallback):
@@ -231,7 +231,7 @@ def test_a_truncated_end_is_worth_what_the_critic_says_of_its_last_observation()
             return True
 
         def _on_rollout_end(self):
-            for t, (rewards, dones, infos) in enumerate(Recorded.told):
+            for t, (rewards, dones, infos) in enumerate(Recorded.steps):
                 expected = rewards.copy()
                 for k in np.flatnonzero(dones):
                     assert infos[k]["TimeLimit.truncated"]
@@ -308,12 +308,12 @@ def test_the_example_refuses_what_it_cannot_do(capsys, monkeypatch):
     assert "--minutes must be positive" in capsys.readouterr().err
 
 
-def test_a_team_trains_briefly_in_a_minefield_and_stands_in_the_table(tmp_path):
+def test_team_trains_briefly_in_a_minefield_and_is_listed(tmp_path):
     options = "--minutes 0.01 --worlds 2 --flights 1 --laws none"
-    told = run_example(EXAMPLES / "train_mission.py", options, tmp_path).stdout
-    (head,) = [line for line in told.splitlines() if line.startswith("| task | ")]
+    output_text = run_example(EXAMPLES / "train_mission.py", options, tmp_path).stdout
+    (head,) = [line for line in output_text.splitlines() if line.startswith("| task | ")]
     assert set(head.strip("| ").split(" | ")) == {"task", "none", "untrained", "learned"}
-    assert told.count(" of 1 arrived in ") == 3
+    assert output_text.count(" of 1 arrived in ") == 3
 
 
 ESCORT = "outrider/Escort-v0"
@@ -329,9 +329,9 @@ def test_ppo_takes_the_environment_by_its_name_past_two_episodes():
 
 @pytest.mark.parametrize("kind", ["here", "processes"])
 def test_vec_envs_as_rl_zoo_makes_them(kind, tmp_path):
-    """By the environment's spec, with the zoo's arguments, and videos of more than an episode."""
+    """Make them from the environment's spec, with the zoo's arguments, and record videos of more than an episode."""
     spec = gymnasium.spec(ESCORT)
-    # A process that is spawned has not imported outrider: the name says where it is.
+    # A spawned process has not imported outrider: the name says where it is.
     many = {"vec_env_cls": SubprocVecEnv, "vec_env_kwargs": {"start_method": "spawn"}}
     env = make_vec_env(
         f"outrider.registration:{ESCORT}" if kind == "processes" else spec.make,
@@ -409,7 +409,7 @@ SCENARIO = "escort"
 
 
 def _trained(make, tmp_path, **settings):
-    """A model that has learned a little in these wrappers, saved with what it observes."""
+    """Train a model briefly in these wrappers, and save it with its observation recipe."""
     env = make(outrider.vector_env(SCENARIO, num_envs=2, duration=5.0, **settings))
     env.reset()
     model = PPO("MlpPolicy", env, n_steps=40, batch_size=40, n_epochs=1, seed=2, device="cpu")
@@ -469,9 +469,9 @@ def test_a_model_of_plain_rows_flies_and_a_stacked_one_does_not(tmp_path):
     with pytest.raises(ScenarioError, match=r"shape \(2, 9\) are not the UAV's row"):
         load_uav_policy(name)
     _, name = _trained(SAVED["stacked"], tmp_path)
-    told = json.loads((tmp_path / "model.json").read_text())
-    told["layers"] = []
-    (tmp_path / "model.json").write_text(json.dumps(told))
+    recipe = json.loads((tmp_path / "model.json").read_text())
+    recipe["layers"] = []
+    (tmp_path / "model.json").write_text(json.dumps(recipe))
     with pytest.raises(ScenarioError, match=r"observations of shape \(2, 9\)"):
         load_uav_policy(name)
 

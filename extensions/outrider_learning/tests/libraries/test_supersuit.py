@@ -1,4 +1,4 @@
-"""SuperSuit's conversions meet the environment: values, ends, seeds, and the example. Run by `make learn-test`."""
+"""SuperSuit's conversions of the environment: values, episode ends, seeds, the example. Run by `make learn-test`."""
 
 import runpy
 
@@ -14,7 +14,7 @@ EXAMPLE = EXAMPLES / "supersuit_sb3.py"
 
 
 def normalized(*, duration):
-    """The bare environment, as the example rescales it."""
+    """Return the bare environment, rescaled like in the example."""
     env = outrider.parallel_env("escort", duration=duration, dtype=np.float32)
     return supersuit.normalize_obs_v0(env, env_min=-1, env_max=1)
 
@@ -28,7 +28,7 @@ def make_env():
 def test_an_episode_is_the_bare_environments_to_its_end(make_env, end):
     bare = normalized(duration=DURATIONS[end])
     env = make_env(1, duration=DURATIONS[end], seed=5)
-    seen, _ = env.venv.reset(seed=5)  # SB3's own reset() begins the next episode
+    seen, _ = env.venv.reset(seed=5)  # reset() of SB3 starts the next episode
     for expected, actions, answers in flown(bare, end):
         np.testing.assert_array_equal(seen[0], expected["uav_0"])
         np.testing.assert_array_equal(seen[1], np.append(expected["ugv_0"], np.float32(0.0)))
@@ -43,7 +43,9 @@ def test_an_episode_is_the_bare_environments_to_its_end(make_env, end):
     assert all(dones)
     assert infos[0]["TimeLimit.truncated"] is (end == "truncated")
     np.testing.assert_array_equal(infos[0]["terminal_observation"], last["uav_0"])
-    np.testing.assert_array_equal(seen[0], bare.reset()[0]["uav_0"])  # the next episode's first
+    np.testing.assert_array_equal(
+        seen[0], bare.reset()[0]["uav_0"]
+    )  # the first step of the next episode
     env.close()
 
 
@@ -97,7 +99,7 @@ def test_frame_skip_goes_past_the_first_episode_of_all_vehicles():
 
 
 def test_black_death_never_ends_an_episode():
-    """A fault of SuperSuit, see docs/how-to/learning.md; once it is fixed, delete it there."""
+    """Show a fault of SuperSuit, see docs/how-to/learning.md; once it is fixed, delete it there."""
     env = supersuit.black_death_v3(outrider.parallel_env("escort", duration=0.1))
     env.reset(seed=1)
     for _ in range(2):

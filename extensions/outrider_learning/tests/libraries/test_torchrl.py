@@ -1,4 +1,4 @@
-"""TorchRL meets the environment: specs, values, ends, bootstrapping, and the example. Run by `make learn-test`."""
+"""TorchRL with the environment: specs, values, episode ends, bootstrapping, example. Run by `make learn-test`."""
 
 import json
 import runpy
@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 import torch
-from episodes import AWAY, DURATIONS, EXAMPLES, flown, run_example
+from episodes import APART, DURATIONS, EXAMPLES, flown, run_example
 from pettingzoo.utils import BaseParallelWrapper
 from torchrl.envs import GymWrapper, PettingZooWrapper
 from torchrl.envs.utils import check_env_specs
@@ -35,7 +35,7 @@ MAKE = {
 
 
 def put(frame, actions):
-    """The actions where TorchRL looks for them."""
+    """Write the actions to the entries that TorchRL reads."""
     for name, action in actions.items():
         frame["uav" if name == "uav_0" else "ugv", "action"] = torch.as_tensor(action)[None]
     return frame
@@ -96,7 +96,7 @@ def test_only_a_termination_ends_the_future():
     frame, episode, flown = env.reset(), 0, []
     for _ in range(100):
         step, frame = env.step_and_maybe_reset(
-            put(frame, {name: (episode % 2) * push for name, push in AWAY.items()})
+            put(frame, {name: (episode % 2) * push for name, push in APART.items()})
         )
         flown.append(step)
         episode += step["next", "done"].item()
@@ -119,7 +119,7 @@ def test_only_a_termination_ends_the_future():
         )
     torch.testing.assert_close(frames["uav", "advantage"].flatten(), expected, rtol=1e-4, atol=1e-4)
     last = int(ended.nonzero()[0])
-    # the end of the old episode, not the beginning of the new
+    # the last observation of the old episode
     assert frames["next", "uav", "observation"][last, 0, 0] > 1.0  # the time [s]
     assert frames["uav", "observation"][last + 1, 0, 0] == 0.0
 
@@ -144,7 +144,7 @@ def test_gym_wrapper_steps_many_worlds_past_their_ends(wrapped):
             ends += 1
             last = np.stack(infos["final_obs"])
             np.testing.assert_array_equal(step["next", "observation"].numpy(), last)
-            seen, _ = bare.reset()  # TorchRL resets once more where all worlds end at once
+            seen, _ = bare.reset()  # TorchRL resets again where all worlds end at once
     assert ends == 2
 
 
@@ -165,7 +165,7 @@ def test_policies_see_no_state():
 
 
 def test_a_bad_network_needs_its_infos_left_out():
-    """TorchRL accepts numbers only in infos, see docs/how-to/learning.md."""
+    """TorchRL accepts only numbers in infos, see docs/how-to/learning.md."""
 
     class WithoutInfos(BaseParallelWrapper):
         def reset(self, seed=None, options=None):

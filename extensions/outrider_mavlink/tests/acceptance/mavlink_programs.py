@@ -1,6 +1,6 @@
-"""`outrider mavlink` against what others wrote: MAVSDK watches and flies, MAVProxy connects and logs.
+"""`outrider mavlink` with third-party programs: MAVSDK watches and flies, MAVProxy connects and logs.
 
-Both live in an environment of their own, `.venv-mavlink`, which is made on the first call; a minute:
+Both live in an environment of their own, `.venv-mavlink`, which the first call creates. The test takes a minute:
 make bridge-test ARGS=mavlink
 """
 
@@ -18,11 +18,11 @@ from bridge_checks import (
     called,
     environment,
     free_port,
+    json_of,
     output,
     outrider,
     report,
     started,
-    told,
 )
 
 FOREIGN = Path(__file__).resolve().parent / "foreign"
@@ -33,22 +33,22 @@ DURATION = 100.0
 
 
 def log_of_mavproxy(python: Path, folder: Path) -> Iterator[Row]:
-    """The log that MAVProxy has written, as pymavlink's own tool reads it."""
+    """Check the log of MAVProxy with a tool of pymavlink."""
     tool = python.with_name("mavlogdump.py")
     read = called(python, tool, "--types", "HEARTBEAT", "--show-source", folder / "flight.tlog")
     lines = [line for line in read.stdout.splitlines() if "HEARTBEAT" in line]
     both = all(any(f"srcSystem={n} " in line for line in lines) for n in (1, 2))
     yield Row("MAVProxy logs heartbeats of both", f"{len(lines)} in its log", both)
     word = "Detected vehicle 1:1"
-    said = (folder / "mavproxy.out").read_text()
-    yield Row("and says that they are there", word, word in said)
+    log = (folder / "mavproxy.out").read_text()
+    yield Row("and reports that they are there", word, word in log)
 
 
 def unanswered(folder: Path) -> Iterator[Row]:
-    """A flight in lockstep that nobody speaks to: to the same bits as with the run's own pilot.
+    """Fly in lockstep without any reply from a ground station: the same bits as with the run's own pilot.
 
     Raises:
-        SystemExit: If a process does not do its part at all.
+        SystemExit: If a process does not start.
     """
     router = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
     ports = [free_port(socket.SOCK_DGRAM) for _ in range(2)]
@@ -70,16 +70,16 @@ def unanswered(folder: Path) -> Iterator[Row]:
             stack.enter_context(started(folder / f"{name}.log", words))
         simulator.wait(120.0)
     there = json.loads((folder / "unanswered.out").read_text())
-    here = told("run", "escort", "--duration", 20, "--in-process", "--no-files", "--json")
+    here = json_of("run", "escort", "--duration", 20, "--in-process", "--no-files", "--json")
     same = there["trajectory_sha256"] == here["trajectory_sha256"]
     yield Row("unanswered in lockstep: the same bits", there["trajectory_sha256"][:16], same)
 
 
 def along(folder: Path, python: Path) -> Iterator[Row]:
-    """An autopilot flies along whose MAVLink is MAVSDK's server, and whose loop is a stand-in of ours.
+    """Fly with an autopilot: MAVLink by MAVSDK's server, dynamics by a stand-in of ours.
 
     Raises:
-        SystemExit: If a process does not do its part at all.
+        SystemExit: If a process does not start.
     """
     router = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
     port, log = free_port(socket.SOCK_DGRAM), folder / "along.log"
@@ -109,17 +109,17 @@ def along(folder: Path, python: Path) -> Iterator[Row]:
     sent = json.loads((folder / "along-uav.out").read_text())
     received = json.loads((folder / "autopilot.out").read_text().splitlines()[-1])
     yield Row("MAVSDK's server takes setpoints", received["setpoints"], received["setpoints"] > 200)
-    yield Row("and its telemetry is believed", sent["reports"], sent["reports"] > 200)
-    off, held = sent["largest_deviation"], sent["held_ticks"]
-    value = f"at most {off:.3f} m off, waited for in {held} of {sent['ticks']} ticks"
-    yield Row("it holds what it is told", value, off < 0.3 and held < sent["ticks"] / 10)
+    yield Row("and its telemetry is accepted", sent["reports"], sent["reports"] > 200)
+    off, waiting = sent["largest_deviation"], sent["held_ticks"]
+    value = f"at most {off:.3f} m off, waited for in {waiting} of {sent['ticks']} ticks"
+    yield Row("it tracks its setpoints", value, off < 0.3 and waiting < sent["ticks"] / 10)
     summary = json.loads((folder / "along.out").read_text())
     kept = summary["visibility_violations"] == 0 and summary["certificate_broken"] == 0
     yield Row("sight kept", f"at most {summary['max_distance']:.2f} m", kept)
 
 
 def watched_and_flown(folder: Path, python: Path) -> Iterator[Row]:
-    """MAVSDK watches both vehicles and flies the UAV, while MAVProxy logs."""
+    """Watch both vehicles and fly the UAV with MAVSDK, while MAVProxy logs."""
     keys = folder / "credentials"
     output(*outrider("credentials", keys, "--scenario", "escort"))
     router = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
@@ -182,7 +182,7 @@ def watched_and_flown(folder: Path, python: Path) -> Iterator[Row]:
     kept = summary["visibility_violations"] == 0 and summary["certified_while_lost"] == 0
     yield Row("the simulator: sight kept", f"at most {summary['max_distance']:.2f} m", kept)
     share, broken = summary["certified_share"], summary["certificate_broken"]
-    # a tick that a busy machine misses is not certified, and says so
+    # a tick that a busy machine misses is reported as not certified
     yield Row("no certificate broken", f"certified {100.0 * share:.1f} % of the ticks", broken == 0)
     for name in ("uav", "gateway"):
         refused = json.loads((folder / f"{name}.out").read_text())["refused"]
@@ -190,7 +190,7 @@ def watched_and_flown(folder: Path, python: Path) -> Iterator[Row]:
 
 
 def findings(folder: Path) -> Iterator[Row]:
-    """All checks, by real processes."""
+    """Run all checks, with real processes."""
     python = environment("mavlink", NEEDED) / "python"
     yield from unanswered(folder)
     yield from along(folder, python)

@@ -1,7 +1,7 @@
-"""Bags of `outrider ros2 export` and `outrider record --format ros2` against what others wrote.
+"""Bags of `outrider ros2 export` and `outrider record --format ros2` with third-party readers.
 
-Read by rosbags and mcap-ros2-support, which live in an environment of their own, `.venv-bags`, and by the real rclpy in
-the one that ros2_nodes.py makes where Python 3.11 is at hand: make bridge-test ARGS=bags
+rosbags and mcap-ros2-support live in an environment of their own, `.venv-bags`; the real rclpy lives in that of
+ros2_nodes.py, if Python 3.11 is available: make bridge-test ARGS=bags
 """
 
 import csv
@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from bridge_checks import Row, await_text, environment, output, report, told
+from bridge_checks import Row, await_text, environment, json_of, output, report
 from ros2_nodes import RCLPY, Run
 
 FOREIGN = Path(__file__).resolve().parent / "foreign"
@@ -21,12 +21,12 @@ FOREIGN = Path(__file__).resolve().parent / "foreign"
 READERS = ("rosbags>=0.11,<0.12", "mcap-ros2-support>=0.5.7", "ruamel.yaml")
 SCENARIO, DURATION = "minefield", 20
 NOT_IN_WHEELS = "tf2_msgs"
-"""There is no wheel of its types for rclpy."""
+"""A package without a wheel for rclpy."""
 
 
 def flown(folder: Path) -> tuple[dict[str, Any], dict[str, list[list[str]]]]:
-    """A recorded flight: its summary, and position and velocity of each vehicle as in `trajectory.csv`, in hex."""
-    summary = told(
+    """Record a flight; return its summary and each vehicle's position and velocity as in `trajectory.csv`, in hex."""
+    summary = json_of(
         "run", SCENARIO, "--in-process", "--duration", DURATION, "--record", folder / "run.mcap",
         "--out", folder / "out", "--no-picture", "--json",
     )  # fmt: skip
@@ -41,7 +41,7 @@ def flown(folder: Path) -> tuple[dict[str, Any], dict[str, list[list[str]]]]:
 
 
 def read(bag: Path, python: Path) -> dict[str, Any]:
-    """The findings of the readers about a bag."""
+    """Return the findings of the readers about a bag."""
     found: dict[str, Any] = json.loads(output(python, FOREIGN / "bags_foreign_readers.py", bag))
     return found
 
@@ -49,7 +49,7 @@ def read(bag: Path, python: Path) -> dict[str, Any]:
 def read_by_others(
     bag: Path, made: dict[str, Any], tracks: dict[str, list[list[str]]], python: Path
 ) -> Iterator[Row]:
-    """Every message of every topic, and the numbers in them."""
+    """Check all messages of all topics, and their values."""
     seen = read(bag, python)
     total = made["messages"]
     for reader in ("rosbags", "mcap-ros2-support"):
@@ -83,7 +83,7 @@ def read_by_others(
 
 
 def rewritten(folder: Path, bag: Path, summary: dict[str, Any], tools: Path) -> Iterator[Row]:
-    """The bag flies again, as it is and after rosbags-convert."""
+    """Fly the bag again, unchanged and after rosbags-convert."""
     variants: dict[str, tuple[str, ...]] = {
         "as it is": (),
         "rosbags-convert to MCAP": ("--dst-storage", "mcap"),
@@ -104,8 +104,8 @@ def rewritten(folder: Path, bag: Path, summary: dict[str, Any], tools: Path) -> 
             copy = folder / f"rewritten{number}"
             output(convert, "--src", source, "--dst", copy, *options)
         file = folder / f"again{number}.mcap"
-        told("ros2", "import", copy, file, "--json")
-        again = told("replay", file, "--refly", "--json")
+        json_of("ros2", "import", copy, file, "--json")
+        again = json_of("replay", file, "--refly", "--json")
         yield Row(
             f"replay --refly, {name}",
             f"{again['ticks']} ticks, {again['trajectory_sha256'][:16]}",
@@ -116,12 +116,12 @@ def rewritten(folder: Path, bag: Path, summary: dict[str, Any], tools: Path) -> 
 def read_by_rclpy(
     folder: Path, bag: Path, made: dict[str, Any], tracks: dict[str, list[list[str]]], python: Path
 ) -> Iterator[Row]:
-    """The real rclpy reads every payload."""
-    wheels = shutil.which("python3.11")
-    if wheels is None:
+    """Check that the real rclpy reads all payloads."""
+    interpreter = shutil.which("python3.11")
+    if interpreter is None:
         yield Row("rclpy", "not tried: its wheels need Python 3.11", True)
         return
-    rclpy = environment("ros2-rclpy", RCLPY, wheels)
+    rclpy = environment("ros2-rclpy", RCLPY, interpreter)
     payloads = folder / "payloads.pickle"
     output(python, FOREIGN / "bags_foreign_readers.py", bag, payloads)
     found = json.loads(output(rclpy / "python", FOREIGN / "bags_rclpy_reader.py", payloads))
@@ -136,7 +136,7 @@ def read_by_rclpy(
 
 
 def live(folder: Path, python: Path) -> Iterator[Row]:
-    """A run in lockstep over processes with credentials, recorded straight into a bag."""
+    """Record a run in lockstep, over processes with credentials, directly into a bag."""
     with ExitStack() as stack:
         run = Run(stack, folder, "escort", "--duration", DURATION)
         recorder = run.join(
@@ -148,9 +148,9 @@ def live(folder: Path, python: Path) -> Iterator[Row]:
         run.join("ugv", "ugv_0", "ugv")
         run.simulator.wait(120.0)
         recorder.wait(120.0)
-        summary, recorded = run.told("simulator"), run.told("record")
-    told("ros2", "import", folder / "live", folder / "live.mcap", "--json")
-    again = told("replay", folder / "live.mcap", "--refly", "--json")
+        summary, recorded = run.json_of("simulator"), run.json_of("record")
+    json_of("ros2", "import", folder / "live", folder / "live.mcap", "--json")
+    again = json_of("replay", folder / "live.mcap", "--refly", "--json")
     yield Row(
         "record --format ros2, a live run in lockstep",
         f"{recorded['ticks']} ticks, {recorded['missing_ticks']} missing; "
@@ -171,11 +171,11 @@ def live(folder: Path, python: Path) -> Iterator[Row]:
 
 
 def findings(folder: Path) -> Iterator[Row]:
-    """All of them."""
+    """Run all checks."""
     tools = environment("bags", READERS)
     python, bag = tools / "python", folder / "bag"
     summary, tracks = flown(folder)
-    made = told("ros2", "export", folder / "run.mcap", bag, "--json")
+    made = json_of("ros2", "export", folder / "run.mcap", bag, "--json")
     yield from read_by_others(bag, made, tracks, python)
     yield from rewritten(folder, bag, summary, tools)
     yield from read_by_rclpy(folder, bag, made, tracks, python)

@@ -1,6 +1,6 @@
-"""`outrider ros2` against what others wrote: zenoh-ros2-sdk, pyzeros, and the real rclpy.
+"""`outrider ros2` with third-party libraries: zenoh-ros2-sdk, pyzeros, and the real rclpy.
 
-They live in environments of their own, `.venv-ros2` and `.venv-ros2-rclpy`, which are made on the first call:
+They live in environments of their own, `.venv-ros2` and `.venv-ros2-rclpy`, which the first call creates:
 make bridge-test ARGS=ros2
 """
 
@@ -40,7 +40,7 @@ RCLPY = (
 DOMAIN = 7
 SCENARIO = "minefield"
 SCENE = scene_of(load_scenario(SCENARIO))
-WANTED = {name: row for row in TOPICS for _, name in row.names(SCENE)}
+EXPECTED = {name: row for row in TOPICS for _, name in row.names(SCENE)}
 REPOSITORIES = {
     "rcl_interfaces": ("builtin_interfaces", "rosgraph_msgs", "service_msgs"),
     "common_interfaces": (
@@ -73,57 +73,57 @@ class Run:
             time.sleep(0.1)
 
     def key(self, name: str) -> Path:
-        """A party's file of credentials."""
+        """Return the credentials file of a party."""
         return self.folder / "keys" / f"{name}.json"
 
     def start(self, name: str, *words: object) -> "subprocess.Popen[str]":
-        """Start a process of ours."""
+        """Start an outrider command."""
         return self._stack.enter_context(started(self.folder / f"{name}.log", outrider(*words)))
 
     def join(self, name: str, party: str, *words: object) -> "subprocess.Popen[str]":
-        """Start a process of ours with a party's credentials."""
+        """Start an outrider command with a party's credentials."""
         return self.start(
             name, *words, "--connect", self.endpoint, "--credentials", self.key(party)
         )
 
     def node(self, party: str) -> zenoh.Session:
-        """A ROS 2 node of ours."""
+        """Open a ROS 2 node of our own."""
         config = zenoh.Config()
-        told = {"mode": "client", "connect/endpoints": [self.endpoint]}
-        for path, value in (told | client_settings(read_credential(self.key(party)))).items():
+        settings = {"mode": "client", "connect/endpoints": [self.endpoint]}
+        for path, value in (settings | client_settings(read_credential(self.key(party)))).items():
             config.insert_json5(path, json.dumps(value))
         return self._stack.enter_context(zenoh.open(config))
 
     def settings(self, party: str) -> dict[str, str]:
-        """The environment of a foreign node: as for rmw_zenoh, but for the domain nothing else is needed."""
+        """Return the environment of a foreign node: that of rmw_zenoh plus the domain."""
         known = read_credential(self.key(party))
         own = {"user": known.name, "password": known.password}
-        told = {
+        config = {
             "mode": "client",
             "connect": {"endpoints": [self.endpoint]},
             "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
             "transport": {"auth": {"usrpwd": own}},
         }
         file = self.folder / f"{party}.json5"
-        file.write_text(json.dumps(told))
+        file.write_text(json.dumps(config))
         return {**os.environ, "ZENOH_SESSION_CONFIG_URI": str(file), "ROS_DOMAIN_ID": str(DOMAIN),
                 "ZENOH_ROS2_SDK_CACHE": str(self.folder / "definitions")}  # fmt: skip
 
-    def told(self, name: str) -> dict[str, Any]:
-        """Output of a process in the end."""
+    def json_of(self, name: str) -> dict[str, Any]:
+        """Return the final output of a process."""
         found: dict[str, Any] = json.loads((self.folder / f"{name}.out").read_text())
         return found
 
 
 def definitions(share: Path, cache: Path) -> None:
-    """The message definitions that zenoh-ros2-sdk would clone from GitHub, from rclpy's wheels instead."""
+    """Copy the message definitions that zenoh-ros2-sdk would clone from GitHub from rclpy's wheels."""
     for name, packages in REPOSITORIES.items():
         folder = cache / name
         for package in packages:
-            if package == "tf2_msgs":  # there is no wheel of it
+            if package == "tf2_msgs":  # rclpy has no wheel of it
                 (folder / package / "msg").mkdir(parents=True)
-                told = "geometry_msgs/TransformStamped[] transforms\n"
-                (folder / package / "msg" / "TFMessage.msg").write_text(told)
+                definition = "geometry_msgs/TransformStamped[] transforms\n"
+                (folder / package / "msg" / "TFMessage.msg").write_text(definition)
             else:
                 shutil.copytree(share / package / "msg", folder / package / "msg")
         git = ["git", "-C", folder, "-c", "user.name=x", "-c", "user.email=x"]
@@ -132,11 +132,11 @@ def definitions(share: Path, cache: Path) -> None:
 
 
 def listed(run: Run, sdk: Path) -> Iterator[Row]:
-    """The command line of zenoh-ros2-sdk lists and describes every topic."""
+    """Check that the command line of zenoh-ros2-sdk lists and describes all topics."""
     tool = [sdk / "zenoh-ros2", "--router", f"127.0.0.1:{run.port}", "--no-daemon", "--timeout", 2]
     settings = run.settings("ros2_observer")
     limit, shown = time.monotonic() + 60.0, ""
-    wanted = {f"{name} [{row.interface}]" for name, row in WANTED.items()}
+    wanted = {f"{name} [{row.interface}]" for name, row in EXPECTED.items()}
     while time.monotonic() < limit and not wanted <= set(shown.splitlines()):
         shown = output(*tool, "topic", "list", "-t", env=settings)
     found = wanted & set(shown.splitlines())
@@ -146,21 +146,24 @@ def listed(run: Run, sdk: Path) -> Iterator[Row]:
         found == wanted,
     )
     described = 0
-    for name, row in WANTED.items():
-        told = output(*tool, "topic", "info", "-v", name, env=settings)
-        described += type_hash(row.interface) in told and f"QoS: {row.qos.encoded()}" in told
+    for name, row in EXPECTED.items():
+        described_topic = output(*tool, "topic", "info", "-v", name, env=settings)
+        described += (
+            type_hash(row.interface) in described_topic
+            and f"QoS: {row.qos.encoded()}" in described_topic
+        )
     yield Row(
         "zenoh-ros2 topic info -v", f"{described} with type, hash and QoS", described == len(wanted)
     )
 
 
 def echoed(run: Run, sdk: Path) -> Iterator[Row]:
-    """zenoh-ros2-sdk decodes every topic, and calls services."""
-    kinds = json.dumps({name: (row.interface, row.qos.encoded()) for name, row in WANTED.items()})
+    """Check that zenoh-ros2-sdk decodes all topics and calls services."""
+    kinds = json.dumps({name: (row.interface, row.qos.encoded()) for name, row in EXPECTED.items()})
     words = (FOREIGN / "ros2_sdk_echo.py", run.port, DOMAIN, kinds)
-    told = output(sdk / "python", *words, env=run.settings("ros2_operator"))
-    found = json.loads(told.splitlines()[-1])
-    missing = sorted(set(WANTED) - set(found["came"]))
+    printed = output(sdk / "python", *words, env=run.settings("ros2_operator"))
+    found = json.loads(printed.splitlines()[-1])
+    missing = sorted(set(EXPECTED) - set(found["came"]))
     yield Row(
         "zenoh-ros2-sdk echoes", f"{len(found['came'])} topics, missing: {missing}", not missing
     )
@@ -169,15 +172,15 @@ def echoed(run: Run, sdk: Path) -> Iterator[Row]:
 
 
 def driven(run: Run, sdk: Path) -> Iterator[Row]:
-    """Pyzeros drives the UGV and reads its odometry."""
+    """Check that pyzeros drives the UGV and reads its odometry."""
     words = (FOREIGN / "ros2_pyzeros_driver.py", 0.1)
-    told = output(sdk / "python", *words, env=run.settings("ros2_operator"))
-    found = json.loads(told.splitlines()[-1])
+    printed = output(sdk / "python", *words, env=run.settings("ros2_operator"))
+    found = json.loads(printed.splitlines()[-1])
     yield Row(
         "pyzeros drives the UGV at 0.1 m/s east", f"odometry says {found['now']}", found["reached"]
     )
-    told = output(sdk / "python", "-c", _ROGUE, env=run.settings("uav_0"))
-    found = json.loads(told.splitlines()[-1])
+    printed = output(sdk / "python", "-c", _ROGUE, env=run.settings("uav_0"))
+    found = json.loads(printed.splitlines()[-1])
     yield Row(
         "pyzeros with uav_0's credentials reads the truth",
         found,
@@ -207,11 +210,11 @@ with pyzeros.auto_context(node="rogue"):
 
 
 def captured(run: Run, folder: Path) -> list[dict[str, str]]:
-    """One payload of every topic, as it travels."""
+    """Capture one payload of each topic."""
     folder.mkdir()
     node, came = run.node("ros2_observer"), {}
     kept = []
-    for name, row in WANTED.items():
+    for name, row in EXPECTED.items():
         key = wire_topic(row.interface, name).key(DOMAIN)
         if row.qos.transient_local:
             history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
@@ -222,7 +225,7 @@ def captured(run: Run, folder: Path) -> list[dict[str, str]]:
                 node.declare_subscriber(key, lambda sample, name=name: came.update({name: sample}))
             )
     limit = time.monotonic() + 30.0
-    while set(came) != set(WANTED) and time.monotonic() < limit:
+    while set(came) != set(EXPECTED) and time.monotonic() < limit:
         time.sleep(0.1)
     for one in kept:
         one.undeclare()
@@ -230,14 +233,14 @@ def captured(run: Run, folder: Path) -> list[dict[str, str]]:
     for name, sample in sorted(came.items()):
         file = f"{re.sub('/', '_', name)}.bin"
         (folder / file).write_bytes(sample.payload.to_bytes())
-        kind = WANTED[name].interface
+        kind = EXPECTED[name].interface
         index.append({"name": name, "type": kind, "hash": type_hash(kind), "file": file})
     (folder / "index.json").write_text(json.dumps(index))
     return index
 
 
 def same_bytes(run: Run, sdk: Path, rclpy: Path) -> Iterator[Row]:
-    """The real rclpy reads every payload and writes the same bytes; its hashes are ours."""
+    """Check that the real rclpy reads all payloads, writes the same bytes, and has the same hashes."""
     index = captured(run, run.folder / "payloads")
     program = FOREIGN / "ros2_rclpy_bytes.py"
     rows = json.loads(output(rclpy / "python", program, run.folder / "payloads"))
@@ -250,16 +253,16 @@ def same_bytes(run: Run, sdk: Path, rclpy: Path) -> Iterator[Row]:
     yield Row("rclpy reads and writes the same bytes",
               f"{len(messages)} of {len(index)} payloads but for {padding} bytes of padding; "
               f"no wheel: {untried}; differ: {differ}",
-              not differ and len(messages) >= len(WANTED) - 2)  # fmt: skip
+              not differ and len(messages) >= len(EXPECTED) - 2)  # fmt: skip
     files = [run.folder / "payloads" / row["file"] for row in rows if not row["tried"]]
-    told = json.loads(output(sdk / "python", FOREIGN / "ros2_cyclone_tf.py", *files))
-    good = told["hash"] == type_hash("tf2_msgs/msg/TFMessage") and all(
-        same for _, same in told["same"].values()
+    transforms = json.loads(output(sdk / "python", FOREIGN / "ros2_cyclone_tf.py", *files))
+    good = transforms["hash"] == type_hash("tf2_msgs/msg/TFMessage") and all(
+        same for _, same in transforms["same"].values()
     )
     yield Row(
         "cyclonedds_idl reads and writes the transforms",
-        told["same"],
-        good and len(told["same"]) == len(files) == 2,
+        transforms["same"],
+        good and len(transforms["same"]) == len(files) == 2,
     )
     wrong = [row["type"] for row in messages if not row["hashes"]]
     wrong += [
@@ -271,7 +274,7 @@ def same_bytes(run: Run, sdk: Path, rclpy: Path) -> Iterator[Row]:
 
 
 def in_real_time(folder: Path, sdk: Path, rclpy: Path | None) -> Iterator[Row]:
-    """A flight on the wall clock, seen, driven and called from other programs."""
+    """Check a run in real time from other programs: listing, echoing, driving, calling."""
     with ExitStack() as stack:
         run = Run(stack, folder, SCENARIO, "--realtime", "2", "--duration", "900")
         if rclpy is not None:
@@ -286,23 +289,27 @@ def in_real_time(folder: Path, sdk: Path, rclpy: Path | None) -> Iterator[Row]:
         yield from driven(run, sdk)
         bridge.terminate()
         bridge.wait(15.0)
-        told = run.told("bridge")
-        yield Row("the bridge ends in order", f"{told['commands']} commands, refused: {told['refused']}",
-                  told["commands"] > 0 and not told["router_lost"])  # fmt: skip
+        result = run.json_of("bridge")
+        yield Row("the bridge ends in order", f"{result['commands']} commands, refused: {result['refused']}",
+                  result["commands"] > 0 and not result["router_lost"])  # fmt: skip
 
 
 def flown_by_nodes(folder: Path) -> Iterator[Row]:
-    """Both vehicles flown by ROS 2 nodes, while another sends the bridge nonsense; in lockstep, and by the clock."""
+    """Fly both vehicles with ROS 2 nodes, in lockstep and in real time, while another node sends nonsense to the
+    bridge.
+    """
     scenario, secret = load_scenario("escort", overrides=["duration=20.0"]), "5" * 32
     _, here = fly(scenario, scenario.seed, secret=secret)
     (folder / "clock").mkdir()
-    summary, told, sent = _by_nodes(folder, secret)
+    summary, result, sent = _by_nodes(folder, secret)
     same = summary["trajectory_sha256"] == here.trajectory_sha256
     rate = summary["ticks_per_second"]
     yield Row("UAV (JSON) and UGV (AccelStamped) flown by ROS 2 nodes over processes, lockstep",
               f"{summary['trajectory_sha256'][:16]}, {rate:.0f} ticks/s", same)  # fmt: skip
     yield Row(
-        "nonsense on cmd_vel meanwhile", f"refused: {told['refused']}", len(told["refused"]) >= 3
+        "nonsense on cmd_vel meanwhile",
+        f"refused: {result['refused']}",
+        len(result["refused"]) >= 3,
     )
     yield Row("commands of the nodes", sent, sent == [summary["ticks"]] * 2)
     summary, _, sent = _by_nodes(folder / "clock", secret, "--realtime", "2")
@@ -315,7 +322,7 @@ def flown_by_nodes(folder: Path) -> Iterator[Row]:
 def _by_nodes(
     folder: Path, secret: str, *pace: str
 ) -> tuple[dict[str, Any], dict[str, Any], list[int]]:
-    """Last output of simulator and bridge, and the number of commands of each node."""
+    """Return the final output of simulator and bridge, and the number of commands of each node."""
     zero = make("geometry_msgs/msg/Vector3", x=9.0, y=float("nan"), z=0.0)
     twist = encode(TWISTS[1], make(TWISTS[1], linear=zero, angular=zero))
     bad = [(wire_topic(TWISTS[1], name).key(domain), payload)
@@ -344,12 +351,12 @@ def _by_nodes(
             time.sleep(0.01)
         for process in (bridge, *links):
             process.wait(20.0)
-        sent = [run.told(name)["commands"] for name in ("uav_0", "ugv_0")]
-        return run.told("simulator"), run.told("bridge"), sent
+        sent = [run.json_of(name)["commands"] for name in ("uav_0", "ugv_0")]
+        return run.json_of("simulator"), run.json_of("bridge"), sent
 
 
 def findings(folder: Path) -> Iterator[Row]:
-    """All of them."""
+    """Run all checks."""
     sdk = environment("ros2", OTHERS)
     python = shutil.which("python3.11")
     rclpy = None if python is None else environment("ros2-rclpy", RCLPY, python)
@@ -364,5 +371,5 @@ def findings(folder: Path) -> Iterator[Row]:
 
 
 if __name__ == "__main__":
-    # in a folder of its own: pyzeros leaves its cache where it stands
+    # in a folder of its own, as pyzeros writes its cache to the working directory
     sys.exit(report(findings, __doc__))

@@ -1,6 +1,6 @@
-"""The other program of `fmi_programs.py`: fmpy as the master of exported units, in an environment of its own.
+"""The program that `fmi_programs.py` calls: fmpy as the master of exported units, in an environment of its own.
 
-It validates each unit, simulates it, and writes what it found as JSON. It imports nothing of Outrider; the units do.
+It validates each unit, simulates it, and writes its findings as JSON. It imports nothing of Outrider; the units do.
 """
 
 import csv
@@ -16,19 +16,19 @@ DT = 0.05
 
 
 def table(file: Path) -> dict[str, list[str]]:
-    """The columns of a run's trajectory.csv, without their units."""
+    """Return the columns of a run's trajectory.csv, named without their units."""
     with file.open(newline="") as text:
         header, *rows = csv.reader(text)
     return {name.split(" [")[0]: [row[k] for row in rows] for k, name in enumerate(header)}
 
 
 def numbers(texts: list[str]) -> np.ndarray:
-    """A column; 0 for a field that is empty."""
+    """Return a column as numbers; 0 for an empty field."""
     return np.array([float(text or 0.0) for text in texts])
 
 
 def inputs_of(unit: Path, name: str, flown: dict[str, list[str]]) -> np.ndarray:
-    """The perceptions of a vehicle in a flight, as fmpy takes them."""
+    """Return a vehicle's observations in a run as input signals of fmpy."""
     time = numbers(flown["time"])
     known = {f"{what}.{axis}": numbers(flown[f"{name}.{short}{axis}"])
              for what, short in (("position", ""), ("velocity", "v")) for axis in "xy"}  # fmt: skip
@@ -50,54 +50,56 @@ def inputs_of(unit: Path, name: str, flown: dict[str, list[str]]) -> np.ndarray:
 
 
 def differences(unit: Path, flown: dict[str, list[str]]) -> dict[str, int]:
-    """Numbers of the world's unit that are not those of the run's trajectory.csv, by column."""
+    """Return the number of values in which the world's unit differs from trajectory.csv, by column."""
     end = float(flown["time"][-1])
-    told = simulate_fmu(str(unit), stop_time=end, output_interval=DT)
+    outputs = simulate_fmu(str(unit), stop_time=end, output_interval=DT)
     found: dict[str, int] = {}
     for name in ("uav_0", "ugv_0"):
         for what, short in (("position", ""), ("velocity", "v")):
             for axis in "xy":
                 column = f"{name}.{short}{axis}"
-                found[column] = int((told[f"{name}.{what}.{axis}"] != numbers(flown[column])).sum())
-        for axis in "xy":  # applied in the step before
+                found[column] = int(
+                    (outputs[f"{name}.{what}.{axis}"] != numbers(flown[column])).sum()
+                )
+        for axis in "xy":  # applied in the previous step
             applied = numbers(flown[f"{name}.u{axis}"])[:-1]
             found[f"{name}.u{axis}"] = int(
-                (told[f"{name}.acceleration.{axis}"][1:] != applied).sum()
+                (outputs[f"{name}.acceleration.{axis}"][1:] != applied).sum()
             )
     for column in ("distance", "coverage_error"):
-        found[column] = int((told[f"uav_0.{column}"] != numbers(flown[f"uav_0.{column}"])).sum())
-    said = numbers(flown["uav_0.certified"])[:-1]
-    found["certified"] = int((told["uav_0.certified"][1:] != said).sum())
-    return found | {"rows": len(told)}
+        found[column] = int((outputs[f"uav_0.{column}"] != numbers(flown[f"uav_0.{column}"])).sum())
+    certified = numbers(flown["uav_0.certified"])[:-1]
+    found["certified"] = int((outputs["uav_0.certified"][1:] != certified).sum())
+    return found | {"rows": len(outputs)}
 
 
 def answers(unit: Path, name: str, flown: dict[str, list[str]]) -> dict[str, object]:
-    """A vehicle's unit given what it perceived in the flight: its answers, held against what was flown."""
+    """Compare the outputs of a vehicle's unit, given the vehicle's observations, with the recorded commands."""
     signals = inputs_of(unit, name, flown)
     end = float(flown["time"][-1])
-    told = simulate_fmu(str(unit), stop_time=end, output_interval=DT, input=signals)
+    outputs = simulate_fmu(str(unit), stop_time=end, output_interval=DT, input=signals)
     differ = 0.0
-    # the output after the step from k on acts in it, shortened to the bound by a last bit
+    # the output after step k acts in tick k, shortened to the bound by a last bit
     for axis in "xy":
-        flew = numbers(flown[f"{name}.u{axis}"])[:-1]
-        differ = max(differ, float(np.abs(told[f"acceleration.{axis}"][1:] - flew).max()))
-    certified = int(told["certified"].sum()) if "certified" in told.dtype.names else None
-    return {"rows": len(told), "differ": differ, "certified": certified}
+        applied = numbers(flown[f"{name}.u{axis}"])[:-1]
+        differ = max(differ, float(np.abs(outputs[f"acceleration.{axis}"][1:] - applied).max()))
+    certified = int(outputs["certified"].sum()) if "certified" in outputs.dtype.names else None
+    return {"rows": len(outputs), "differ": differ, "certified": certified}
 
 
 def refused_step(unit: Path) -> str:
-    """The answer to fmpy about a step of another length."""
+    """Return the error of fmpy for a step of another length."""
     try:
         simulate_fmu(
             str(unit), stop_time=1.0, output_interval=0.1, step_size=0.1, debug_logging=True
         )
-    except Exception as error:  # noqa: BLE001 - whatever it is
+    except Exception as error:  # noqa: BLE001 - any error counts
         return str(error)
     return ""
 
 
 def main() -> None:
-    """Units and trajectory.csv in a folder; prints JSON."""
+    """Check the units and trajectory.csv in a folder, and print JSON."""
     folder = Path(sys.argv[1])
     flown = table(folder / "flight" / "trajectory.csv")
     units = {name: folder / f"{name}.fmu" for name in ("uav", "ugv", "world")}

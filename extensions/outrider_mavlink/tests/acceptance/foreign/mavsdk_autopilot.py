@@ -1,4 +1,4 @@
-"""A stand-in for an autopilot, for `mavlink_programs.py`: MAVSDK's server speaks, a loop of some lines flies."""
+"""A stand-in for an autopilot, for `mavlink_programs.py`: MAVSDK's server communicates, a short loop flies."""
 
 import json
 import signal
@@ -16,9 +16,9 @@ from mavsdk.plugins.telemetry_server import (
 )
 
 START = (5.0, -2.0, -15.0)
-"""North, east and down of where it hovers [m]."""
+"""Initial hover position: north, east, down [m]."""
 STEP = 0.02
-"""Between two steps of its loop [s]."""
+"""Time step of the loop [s]."""
 
 
 class Loop:
@@ -30,13 +30,17 @@ class Loop:
         self.count = 0
 
     def receive(self, message, _data):
-        """Take a setpoint."""
-        told = json.loads(message.fields_json)
-        self.wanted = ([told["x"], told["y"]], [told["vx"], told["vy"]], [told["afx"], told["afy"]])
+        """Store a setpoint."""
+        setpoint = json.loads(message.fields_json)
+        self.wanted = (
+            [setpoint["x"], setpoint["y"]],
+            [setpoint["vx"], setpoint["vy"]],
+            [setpoint["afx"], setpoint["afy"]],
+        )
         self.count += 1
 
     def step(self, dt):
-        """Fly for a while [s]."""
+        """Simulate a time step [s]."""
         p, v, u = self.wanted
         for k in range(2):
             pull = u[k] + 4.0 * (p[k] - self.position[k]) + 4.0 * (v[k] - self.velocity[k])
@@ -45,7 +49,7 @@ class Loop:
 
 
 def main(address):
-    """Hover, do as told, until SIGTERM."""
+    """Hover and track setpoints until SIGTERM."""
     ended = []
     signal.signal(signal.SIGTERM, lambda *_: ended.append(True))
     configuration = Configuration.create_with_component_type(ComponentType.AUTOPILOT)

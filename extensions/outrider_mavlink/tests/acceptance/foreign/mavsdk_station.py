@@ -18,12 +18,12 @@ ROWS = []
 
 
 def row(what, value, holds):
-    """Keep a finding."""
+    """Record a finding."""
     ROWS.append({"what": what, "value": str(value), "holds": bool(holds)})
 
 
 def systems(sdk, count, patience=20.0):
-    """The systems by number, once there are so many."""
+    """Return the systems by number, as soon as there are `count`."""
     limit = time.monotonic() + patience
     while time.monotonic() < limit:
         found = {one.get_system_id(): one for one in sdk.get_systems() if one.has_autopilot()}
@@ -34,30 +34,32 @@ def systems(sdk, count, patience=20.0):
 
 
 class Watcher:
-    """Follows both vehicles by what observers are told."""
+    """Tracks the reported positions of both vehicles."""
 
     def __init__(self, uav, ugv):
         self.uav, self.ugv = Telemetry(uav), Telemetry(ugv)
         self.positions = {"uav": None, "ugv": None}
         self.largest, self.count = 0.0, 0
         for name, one in (("uav", self.uav), ("ugv", self.ugv)):
-            one.subscribe_position_velocity_ned(lambda told, _data, name=name: self.see(name, told))
+            one.subscribe_position_velocity_ned(
+                lambda report, _data, name=name: self.see(name, report)
+            )
 
-    def see(self, name, told):
-        """Take in a position."""
-        self.positions[name] = (told.position.east_m, told.position.north_m)
+    def see(self, name, report):
+        """Record a position."""
+        self.positions[name] = (report.position.east_m, report.position.north_m)
         self.count += 1
         if None not in self.positions.values():
             self.largest = max(self.largest, math.dist(*self.positions.values()))
 
     @property
     def distance(self):
-        """Between both now [m]."""
+        """Return the current distance of the vehicles [m]."""
         return math.dist(*self.positions.values())
 
 
 def refused(function, *arguments):
-    """The error that a call ends with; empty: it succeeds."""
+    """Return the error of a call, or an empty string if it succeeds."""
     try:
         function(*arguments)
     except (ActionError, ParamError) as error:
@@ -66,7 +68,7 @@ def refused(function, *arguments):
 
 
 def watch(sdk):
-    """Both vehicles, as an observer or operator is told of them."""
+    """Check the telemetry of both vehicles, as for an observer or operator."""
     found = systems(sdk, 2)
     row("MAVSDK discovers both vehicles", sorted(found), sorted(found) == [1, 2])
     watcher = Watcher(found[1], found[2])
@@ -84,14 +86,14 @@ def watch(sdk):
         (place.latitude_deg - home.latitude_deg) * meridian - north,
         (place.longitude_deg - home.longitude_deg) * circle - east,
     )
-    row("degrees agree with metres", f"{off:.3f} m off", off < 0.3)  # of two moments
-    told = watcher.uav.in_air(), watcher.ugv.in_air(), watcher.uav.armed()
-    row("UAV in the air, UGV on the ground, armed", told, told == (True, False, True))
+    row("degrees agree with metres", f"{off:.3f} m off", off < 0.3)  # from two different times
+    states = watcher.uav.in_air(), watcher.ugv.in_air(), watcher.uav.armed()
+    row("UAV in the air, UGV on the ground, armed", states, states == (True, False, True))
     parameters = Param(found[1])
     value = parameters.get_param_float("VIS_RADIUS")
     row("reads the parameter VIS_RADIUS", value, value == R_V)
-    many = len(parameters.get_all_params().float_params)
-    row("lists all parameters", many, many >= 10)
+    listed = len(parameters.get_all_params().float_params)
+    row("lists all parameters", listed, listed >= 10)
     refused(parameters.set_param_float, "VIS_RADIUS", 9.0)
     value = parameters.get_param_float("VIS_RADIUS")
     row("and cannot set it", value, value == R_V)
@@ -104,7 +106,7 @@ def watch(sdk):
 
 
 def drive(ugv, watcher):
-    """The UGV by the sticks, for some seconds."""
+    """Drive the UGV by the sticks for some seconds."""
     sticks = ManualControl(ugv)
     for _ in range(60):
         sticks.set_manual_control_input(1.0, 0.0, 0.0, 0.0)
@@ -118,10 +120,10 @@ def drive(ugv, watcher):
 
 
 def fly(sdk, watcher):
-    """The UAV by offboard setpoints."""
+    """Fly the UAV by offboard setpoints."""
     (uav,) = systems(sdk, 1).values()
     telemetry, offboard, action, texts = Telemetry(uav), Offboard(uav), Action(uav), []
-    telemetry.subscribe_status_text(lambda told, _data: texts.append(told.text))
+    telemetry.subscribe_status_text(lambda report, _data: texts.append(report.text))
     time.sleep(1.0)
     row("before: the law flies", telemetry.flight_mode(), telemetry.flight_mode() == MISSION)
     row("arms", refused(action.arm) or "accepted", not refused(action.arm))
@@ -134,26 +136,26 @@ def fly(sdk, watcher):
     time.sleep(1.5)
     row("offboard starts", telemetry.flight_mode(), telemetry.flight_mode() == OFFBOARD)
     east, _ = watcher.positions["uav"]
-    away = (0.0, -0.6) if east < watcher.positions["ugv"][0] else (0.0, 0.6)
+    offset = (0.0, -0.6) if east < watcher.positions["ugv"][0] else (0.0, 0.6)
     fastest = 0.0
-    offboard.set_velocity_ned(VelocityNedYaw(*away, 0.0, 0.0))
+    offboard.set_velocity_ned(VelocityNedYaw(*offset, 0.0, 0.0))
     for _ in range(100):
         time.sleep(0.1)
         fastest = max(fastest, abs(telemetry.velocity_ned().east_m_s))
     row("flies away by velocity", f"up to {fastest:.2f} m/s", fastest > 0.5)
     row("is stopped", f"at {watcher.distance:.2f} m", 3.0 < watcher.distance < R_V)
-    said = [text for text in texts if "safety filter acts" in text]
-    row("and told why", said[:1], said)
-    offboard.set_acceleration_ned(AccelerationNed(0.0, math.copysign(0.3, away[1]), 0.0))
+    reported = [text for text in texts if "safety filter acts" in text]
+    row("with its reason", reported[:1], reported)
+    offboard.set_acceleration_ned(AccelerationNed(0.0, math.copysign(0.3, offset[1]), 0.0))
     time.sleep(5.0)
     row("nor by acceleration", f"{watcher.distance:.2f} m", 3.0 < watcher.distance < R_V)
     texts.clear()
     offboard.set_velocity_ned(VelocityNedYaw(0.0, 6.0, 0.0, 0.0))
     time.sleep(1.5)
-    said = [text for text in texts if "beyond the bounds" in text]
-    row("6 m/s is refused", said[:1], said)
-    said = [text for text in texts if "the run's law flies" in text]
-    row("and the law flies", said[:1], said)
+    reported = [text for text in texts if "beyond the bounds" in text]
+    row("6 m/s is refused", reported[:1], reported)
+    reported = [text for text in texts if "the run's law flies" in text]
+    row("and the law flies", reported[:1], reported)
     offboard.set_velocity_ned(VelocityNedYaw(0.0, 0.0, 0.0, 0.0))
     time.sleep(0.5)
     offboard.stop()

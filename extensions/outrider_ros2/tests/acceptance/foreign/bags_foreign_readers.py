@@ -1,6 +1,6 @@
-"""Reads every message of a bag by rosbags and by mcap-ros2-support, and its metadata: runs in their environment.
+"""Reads all messages of a bag by rosbags and by mcap-ros2-support, and its metadata; runs in their environment.
 
-Arguments: a bag; a file for its payloads, as a pickle of name, type and bytes. Without the second, prints one JSON.
+Arguments: a bag, and optionally a file for its payloads, as a pickle of name, type and bytes. Otherwise prints JSON.
 """
 
 import json
@@ -20,7 +20,7 @@ QOS = {
     "history", "depth", "reliability", "durability", "deadline", "lifespan", "liveliness",
     "liveliness_lease_duration", "avoid_ros_namespace_conventions",
 }  # fmt: skip
-"""Fields of a quality of service that rosbag2 reads, each of them needed."""
+"""Fields of a quality of service that rosbag2 requires."""
 
 
 def numbers(odometry: Any) -> list[str]:
@@ -28,8 +28,8 @@ def numbers(odometry: Any) -> list[str]:
     return [value.hex() for value in (place.x, place.y, motion.x, motion.y)]
 
 
-def of_topics(messages: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    """Counts by topic, and the odometry of each vehicle."""
+def by_topic(messages: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """Return message counts by topic, and the odometry of each vehicle."""
     counts: Counter[str] = Counter()
     tracks: dict[str, list[list[str]]] = {}
     for topic, message in messages:
@@ -41,7 +41,7 @@ def of_topics(messages: Iterable[tuple[str, Any]]) -> dict[str, Any]:
 
 def by_rosbags(bag: Path) -> dict[str, Any]:
     with AnyReader([bag]) as reader:
-        return of_topics(
+        return by_topic(
             (one.topic, reader.deserialize(raw, one.msgtype)) for one, _, raw in reader.messages()
         )
 
@@ -51,29 +51,29 @@ def by_mcap(bag: Path) -> dict[str, Any]:
     with file.open("rb") as raw:
         reader = make_reader(raw, decoder_factories=[DecoderFactory()], validate_crcs=True)
         assert {one.encoding for one in reader.get_summary().schemas.values()} == {"ros2msg"}
-        found = of_topics(
+        found = by_topic(
             (channel.topic, message) for _, channel, _, message in reader.iter_decoded_messages()
         )
         return {**found, "statistics": reader.get_summary().statistics.message_count}
 
 
 def by_metadata(bag: Path) -> dict[str, Any]:
-    told = YAML(typ="safe").load(bag / "metadata.yaml")["rosbag2_bagfile_information"]
+    metadata = YAML(typ="safe").load(bag / "metadata.yaml")["rosbag2_bagfile_information"]
     counts: dict[str, int] = {}
     wrong = []
-    for one in told["topics_with_message_count"]:
+    for one in metadata["topics_with_message_count"]:
         topic = one["topic_metadata"]
         counts[topic["name"]] = one["message_count"]
         profiles = topic["offered_qos_profiles"]
         good = len(profiles) == 1 and all(set(profile) == QOS for profile in profiles)
         if not good or not topic["type_description_hash"].startswith("RIHS01_"):
             wrong.append(topic["name"])
-    files = sum(one["message_count"] for one in told["files"])
-    assert files == told["message_count"]
+    files = sum(one["message_count"] for one in metadata["files"])
+    assert files == metadata["message_count"]
     return {
         "counts": counts,
-        "messages": told["message_count"],
-        "version": told["version"],
+        "messages": metadata["message_count"],
+        "version": metadata["version"],
         "wrong": wrong,
     }
 

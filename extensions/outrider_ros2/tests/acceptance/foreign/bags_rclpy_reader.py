@@ -1,6 +1,6 @@
-"""Deserialises every payload of a bag by the real rclpy: runs in its environment.
+"""Deserialises all payloads of a bag by the real rclpy; runs in its environment.
 
-Argument: a pickle of name, type and bytes of each. Prints one JSON.
+Argument: a pickle of name, type and bytes of each payload. Prints JSON.
 """
 
 import importlib
@@ -12,7 +12,7 @@ from pathlib import Path
 from rclpy.serialization import deserialize_message
 
 read, untried, tracks = 0, set(), {}
-for topic, interface, raw in pickle.loads(Path(sys.argv[1]).read_bytes()):  # noqa: S301 - our own
+for topic, interface, raw in pickle.loads(Path(sys.argv[1]).read_bytes()):  # noqa: S301 - our own data
     package, _, name = interface.split("/")
     try:
         module = importlib.import_module(f"{package}.msg")

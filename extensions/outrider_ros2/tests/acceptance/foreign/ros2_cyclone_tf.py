@@ -1,4 +1,4 @@
-"""Reads and writes a TFMessage by cyclonedds_idl, for rclpy has no wheel of it: runs in pyzeros' environment.
+"""Reads and writes a TFMessage by cyclonedds_idl, as rclpy has no wheel of it; runs in pyzeros' environment.
 
 Arguments: files of payloads. Prints a JSON object: the hash of the type, and whether each is written as it was read.
 """

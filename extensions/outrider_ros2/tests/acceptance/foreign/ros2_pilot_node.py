@@ -1,4 +1,4 @@
-"""A ROS 2 node in our own environment that flies a vehicle by our own pilot, over plain Zenoh.
+"""A ROS 2 node in our environment that flies a vehicle with our pilot, over plain Zenoh.
 
 Arguments: endpoint, the vehicle's file of credentials, domain, `exact` (answers as JSON) or `accel` (as AccelStamped).
 Ends with the run.

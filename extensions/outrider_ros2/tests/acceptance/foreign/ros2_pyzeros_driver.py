@@ -1,7 +1,7 @@
-"""Drives a UGV and reads its odometry by pyzeros: runs in that library's environment.
+"""Drives a UGV and reads its odometry by pyzeros; runs in that library's environment.
 
 Arguments: speed east [m/s]. The session's configuration is in ZENOH_SESSION_CONFIG_URI, the domain in ROS_DOMAIN_ID.
-Prints a JSON object: velocities that were read, before and while it drove.
+Prints a JSON object: velocities read before and during the drive.
 """
 
 import asyncio

@@ -1,6 +1,6 @@
-"""Reads and writes every payload by the real rclpy, and tells its types' hashes: runs in its environment.
+"""Reads and writes all payloads by the real rclpy, and compares the hashes of its types; runs in its environment.
 
-Arguments: a folder with index.json (a list of name, type, hash and file). Prints a JSON list: one row a payload.
+Arguments: a folder with index.json (a list of name, type, hash and file). Prints a JSON list: one row per payload.
 """
 
 import importlib
@@ -11,13 +11,13 @@ from pathlib import Path
 from rclpy.serialization import deserialize_message, serialize_message
 
 
-def turned(raw: bytes, place: int, kind: type) -> object:
-    """The message with one byte turned over; None if it is none any longer."""
+def inverted(raw: bytes, place: int, kind: type) -> object:
+    """Return the message with one byte inverted, or None if it is no message any longer."""
     other = bytearray(raw)
     other[place] ^= 0xFF
     try:
         return deserialize_message(bytes(other), kind)
-    except Exception:  # noqa: BLE001 - the library's own error, which it does not export
+    except Exception:  # noqa: BLE001 - the library does not export its error
         return None
 
 
@@ -36,10 +36,10 @@ for one in json.loads((folder / "index.json").read_text()):
     message = deserialize_message(raw, kind)
     again = serialize_message(message)
     differ = [k for k, (a, b) in enumerate(zip(raw, again, strict=False)) if a != b]
-    # Between two fields rclpy leaves what was in memory: such a byte means nothing, and turned over it changes nothing.
-    telling = [k for k in differ if turned(raw, k, kind) != message]
-    rows.append({**one, "tried": True, "same": len(again) == len(raw) and not telling, "hashes": real == one["hash"],
-                 "bytes": len(raw), "again": len(again), "padding": len(differ) - len(telling)})  # fmt: skip
+    # Padding bytes in rclpy contain leftover memory; inverting one of them changes no message.
+    relevant = [k for k in differ if inverted(raw, k, kind) != message]
+    rows.append({**one, "tried": True, "same": len(again) == len(raw) and not relevant, "hashes": real == one["hash"],
+                 "bytes": len(raw), "again": len(again), "padding": len(differ) - len(relevant)})  # fmt: skip
 for service in ("SetBool", "Trigger"):
     hashes = json.loads((share / "std_srvs" / "srv" / f"{service}.json").read_text())["type_hashes"]
     rows.append(

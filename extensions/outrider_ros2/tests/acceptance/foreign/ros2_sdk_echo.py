@@ -1,6 +1,6 @@
-"""Echoes topics and calls services by zenoh-ros2-sdk: runs in that library's environment.
+"""Echoes topics and calls services by zenoh-ros2-sdk; runs in that library's environment.
 
-Arguments: port of the router, domain, and a JSON object of topics with type and QoS. Prints a JSON object: what came.
+Arguments: port of the router, domain, and a JSON object of topics with type and QoS. Prints a JSON object.
 """
 
 import json
@@ -47,4 +47,4 @@ for name, request, fields in (
     calls[f"{name} {fields}"] = None if answer is None else [answer.success, answer.message]
     client.close()
 print(json.dumps({"came": came, "calls": calls}), flush=True)
-os._exit(0)  # its session is never closed, and would keep the interpreter
+os._exit(0)  # the library never closes its session, which would keep the interpreter alive
