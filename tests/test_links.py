@@ -161,7 +161,7 @@ def test_an_operator_degrades_a_link_while_it_flies(tmp_path: Path) -> None:
                 ("both are required", LinkKind.DETECTIONS, {}),
             ):
                 degrade(kind, **more)
-                status(lambda s, phrase=phrase: any(phrase in line for line in s.refusals))
+                status(lambda s, phrase=phrase: any(phrase in one.reason for one in s.rejections))
             run.server.flight.stop()
 
         flight = run.fly(operator=work)

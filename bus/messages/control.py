@@ -5,7 +5,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from bus.messages.base import Message, Name, Tick
+from bus.messages.base import Message, Name, Text, Tick
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Law
 
@@ -75,3 +75,19 @@ class Change(Message, frozen=True, kw_only=True):
     """Tick at which it took effect."""
     control: Control
     """The control."""
+
+
+class Rejection(Message, frozen=True, kw_only=True):
+    """Control that was rejected."""
+
+    tick: Tick
+    """Tick at which it was rejected."""
+    action: Action
+    """Kind of the request."""
+    reason: Text
+    """Field, value, and what is allowed."""
+
+    @property
+    def text(self) -> str:
+        """Return the rejection as one line."""
+        return f"tick {self.tick}: {self.action} rejected: {self.reason}"

@@ -15,7 +15,7 @@ from bus.messages.base import (
     Tick,
     Vector,
 )
-from bus.messages.control import Change
+from bus.messages.control import Change, Rejection
 from bus.messages.decision import NotCertified
 from bus.messages.links import LinkStatus
 from bus.messages.scenario import Area, Limits, Origin
@@ -231,8 +231,8 @@ class Status(Message, frozen=True, kw_only=True):
     """Operator of each UGV, by the latest `Control.operator`, where known."""
     changes: tuple[Change, ...] = ()
     """Latest controls that took effect, newest last, at most 20."""
-    refusals: tuple[Text, ...] = ()
-    """Latest operator requests that were refused, with the reason, at most 5."""
+    rejections: tuple[Rejection, ...] = ()
+    """Latest controls that were rejected, newest last, at most 5."""
     geometry: Geometry | None = None
     """Constants for the display."""
     certified: dict[Name, bool] = {}

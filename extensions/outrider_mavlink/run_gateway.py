@@ -62,7 +62,7 @@ class RunGateway(Gateway):
         self._helm = Helm(client.control, client.drive)
         self._named = {system.name: system for system in self.systems.values()}
         self._joined: set[str] = set()
-        self._refusals = status.refusals
+        self._rejections = status.rejections
         self._requested: dict[str, float] = {}
         # Values of changed parameters, and the times until which they are reported.
         self._set: dict[str, tuple[float, float]] = {}
@@ -116,9 +116,9 @@ class RunGateway(Gateway):
         for name, driver in status.drivers.items():
             if name in self._named:
                 self._named[name].mode = MANUAL if driver == TELEOP else MISSION
-        for line in [one for one in status.refusals if one not in self._refusals]:
-            self._say_to_all(line)
-        self._refusals = status.refusals
+        for one in [one for one in status.rejections if one not in self._rejections]:
+            self._say_to_all(one.text)
+        self._rejections = status.rejections
 
     def _report_problem(
         self, name: str, kind: str, *, wrong: bool, worse: str, better: str

@@ -52,7 +52,7 @@ def diagnostic(
 
 
 def _run_diagnostic(status: Status) -> RosMessage:
-    warnings = (*status.warnings, *status.refusals[-1:])
+    warnings = (*status.warnings, *(one.text for one in status.rejections[-1:]))
     state = "over" if status.over else "paused" if status.paused else "running"
     pace = ("realtime_factor", "target_factor", "late_ticks")
     return diagnostic(

@@ -8,7 +8,7 @@ import msgspec
 from bus.errors import ScenarioError
 from bus.keys import CONTROL, OPERATOR
 from bus.messages.base import LONGEST_TEXT
-from bus.messages.control import Action, Change, Control
+from bus.messages.control import Action, Change, Control, Rejection
 from bus.messages.vehicle import Teleoperation
 from bus.registry import DRIVERS
 from bus.session import Session
@@ -16,7 +16,7 @@ from sim.scenario.checks import check_scenario
 from sim.server.flight import Flight
 from sim.server.pace import Pace
 
-_REFUSALS = 5
+_REJECTIONS = 5
 """Number of rejected requests kept for the status."""
 
 MakePace = Callable[[float | None], Pace]
@@ -50,7 +50,7 @@ class OperatorControls:
         """Remaining ticks to step through before the clock stops again."""
         self.changes: list[Change] = []
         """Controls that have taken effect, oldest first."""
-        self.refusals = deque[str](maxlen=_REFUSALS)
+        self.rejections = deque[Rejection](maxlen=_REJECTIONS)
         """Most recent rejected requests, with the reason."""
         self.operators: dict[str, str] = {}
         """Current operator of each UGV, if the operator gave a name."""
@@ -106,9 +106,9 @@ class OperatorControls:
         try:
             self._carry_out(control)
         except ScenarioError as error:
-            refusal = f"an operator's {control.action} is rejected: {error}"
-            self.refusals.append(f"tick {self._flight.world.tick}: {refusal}"[:LONGEST_TEXT])
-            self._on_event(refusal)
+            tick, reason = self._flight.world.tick, str(error)[:LONGEST_TEXT]
+            self.rejections.append(Rejection(tick=tick, action=control.action, reason=reason))
+            self._on_event(f"an operator's {control.action} is rejected: {error}")
             return
         self.changes.append(Change(tick=self._flight.world.tick, control=control))
         if control.action is not Action.STEP:

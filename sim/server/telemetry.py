@@ -115,7 +115,7 @@ class Telemetry:
             paused=self._operators.paused,
             operators=dict(self._operators.operators),
             changes=tuple(self._operators.changes)[-_SHOWN:],
-            refusals=tuple(self._operators.refusals),
+            rejections=tuple(self._operators.rejections),
             geometry=self._geometry,
             warnings=self._warn(flight.flown, world.link_table),
             vehicles=self._sessions.statuses(),

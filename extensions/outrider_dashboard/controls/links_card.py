@@ -7,6 +7,7 @@ import msgspec
 from nicegui import ui
 from nicegui.events import GenericEventArguments
 
+from bus.messages.control import Rejection
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.telemetry import Status
 from bus.profiles import PROFILES
@@ -76,7 +77,7 @@ class LinkForm:
         self._touched = -math.inf
         self._refreshing = False  # True: a changed widget is not a command of the user
         self._requested: dict[str, LinkSettings] = {}  # sent, but not yet in a status
-        self._refusals: tuple[str, ...] = ()
+        self._rejections: tuple[Rejection, ...] = ()
         self._off = "" if hub is not None else " disable"
         head = '<span class="muted">delivered · age</span>'
         with card("Links", beside=head, classes="links-card", props="id=links-card hidden"):
@@ -287,8 +288,8 @@ class LinkForm:
         """Drop the requests that took effect, or all of them after a rejection."""
         if status is None:
             return
-        if status.refusals != self._refusals:
-            self._refusals, self._requested, self._touched = status.refusals, {}, -math.inf
+        if status.rejections != self._rejections:
+            self._rejections, self._requested, self._touched = status.rejections, {}, -math.inf
         done = [
             name
             for name, settings in self._requested.items()

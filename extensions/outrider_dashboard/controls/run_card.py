@@ -208,8 +208,8 @@ class Controls:
             "driver": wanted in self._hub.drivers.values(),
         }
         if not (done[what] or status.paused):
-            rejected = [line for line in status.refusals if f"operator's {what} is rejected" in line]
-            why = f": {rejected[-1].partition('is rejected: ')[2]}" if rejected else " yet"
+            reasons = [one.reason for one in status.rejections if one.action == what]
+            why = f": {reasons[-1]}" if reasons else " yet"
             ui.notify(f"The {what} {wanted} has not taken effect{why}.", type="negative")
 
 

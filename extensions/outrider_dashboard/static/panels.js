@@ -163,11 +163,11 @@ function percent(share) {
 }
 
 // Return the latest rejected link command and its reason, unless a later one was accepted.
-function rejectedLink({ refusals, changes, tick }) {
-  const found = (refusals || []).map((line) => /^tick (\d+): an operator's link is refused: (.*)$/.exec(line)).filter(Boolean).pop();
-  if (!found || Number(found[1]) > tick) return "";
+function rejectedLink({ rejections, changes, tick }) {
+  const found = (rejections || []).filter(({ action }) => action === "link").pop();
+  if (!found || found.tick > tick) return "";
   const accepted = (changes || []).filter(({ control }) => control.action === "link").pop();
-  return accepted && accepted.tick > Number(found[1]) ? "" : `Rejected: ${found[2]}`;
+  return accepted && accepted.tick > found.tick ? "" : `Rejected: ${found.reason}`;
 }
 
 function describe({ action, ticks, factor, seed, law, vehicle, driver, link, settings }, linkText, at) {
@@ -185,14 +185,14 @@ function describe({ action, ticks, factor, seed, law, vehicle, driver, link, set
 
 function showChanges({ status, geometry, linkTexts }) {
   const changes = (status && status.changes) || [];
-  const refusals = (status && status.refusals) || [];
+  const rejections = (status && status.rejections) || [];
   const dt = geometry ? geometry.dt : null;
   const when = (tick) => (dt ? `${(tick * dt).toFixed(1)} s` : `tick ${tick}`);
   const texts = (linkTexts && linkTexts.changes) || [];
   const lines = changes.map(({ tick, control }, k) => [tick, describe(control, texts[k] || "", dt ? tick * dt : 0)]).slice(-6).reverse();
   const tip = "Simulated time of the change";
   const done = lines.map(([tick, text]) => `<div><span title="${tip}">${when(tick)}</span><p>${escapeText(text)}</p></div>`);
-  const rejected = refusals.slice(-3).reverse().map((line) => `<div class="refused">Rejected: ${escapeText(line)}</div>`);
+  const rejected = rejections.slice(-3).reverse().map(({ tick, action, reason }) => `<div class="refused">${when(tick)}: ${action} rejected: ${escapeText(reason)}</div>`);
   setHtml($("changes"), [...rejected, ...done].join("") || "None yet");
 }
 
