@@ -5,7 +5,6 @@ import re
 
 import pytest
 
-import outrider
 from outrider.envs.single import single_env
 from outrider.envs.vector import vector_env
 from pages import PAGES, blocks, run_shown
@@ -40,8 +39,3 @@ def test_documented_defaults_are_the_defaults() -> None:
     assert documented.pop("rewards") == "RewardWeights()"
     assert documented == {name: repr(DEFAULTS[name]) for name in documented}
     assert inspect.signature(single_env).parameters["agent"].default == "uav_0"
-
-
-@pytest.fixture(autouse=True)
-def _front_door(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outrider, "single_env", single_env, raising=False)

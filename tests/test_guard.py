@@ -168,9 +168,7 @@ class Vehicle:
         row = self.world.vehicles[0]
         return (*row["position"].tolist(), *row["velocity"].tolist())
 
-    def fly(
-        self, wanted: tuple[float, float], *, lose: bool = False, late: int = 0
-    ) -> NotCertified | None:
+    def fly(self, wanted: tuple[float, float], *, lose: bool = False) -> NotCertified | None:
         """Fly one tick and return why it is not certified; its command may be lost."""
         world, tick = self.world, self.world.tick
         p_x, p_y, v_x, v_y = self.motion

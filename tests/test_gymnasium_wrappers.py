@@ -7,7 +7,6 @@ import gymnasium
 import msgspec
 import numpy as np
 import pytest
-from gymnasium import spaces
 from gymnasium.wrappers import (
     AddRenderObservation,
     FlattenObservation,
@@ -60,11 +59,6 @@ def flown(env: Any, seed: int = 1, push: float = 0.2) -> list[Any]:
         assert env.observation_space.contains(seen)
         kept.append(seen)
     return kept
-
-
-def boxes(space: spaces.Space[Any]) -> list[spaces.Box]:
-    """Return all boxes of a space."""
-    return [*space.spaces.values()] if isinstance(space, spaces.Dict) else [space]  # type: ignore[list-item]
 
 
 # -- every observation is bounded

@@ -125,7 +125,7 @@ def test_detection_counts_at_the_uavs_position_of_its_time() -> None:
     assert newest.tolist() == [(5.0, 5.0, 2)]  # it was at 6 m at tick 2
 
 
-def outward(env: Any, agent: str) -> Any:
+def outward(env: Any) -> Any:
     """Return the acceleration away from the UGV at full thrust."""
     x, y = env.unwrapped.world.position[0] - env.unwrapped.world.position[1]
     length = max(np.hypot(x, y), 1e-9)
@@ -137,14 +137,14 @@ def test_filtered_environment_keeps_sight_for_any_policy() -> None:
     lost = parallel_env(scenario)
     lost.reset(seed=7)
     while lost.agents:
-        lost.step({"uav_0": outward(lost, "uav_0"), "ugv_0": np.array([-0.1, 0.0])})
+        lost.step({"uav_0": outward(lost), "ugv_0": np.array([-0.1, 0.0])})
     assert lost.world.tick < scenario.ticks
 
     env = parallel_env(scenario, safety_filter=True)
     env.reset(seed=7)
     intervened, infos = 0, {}
     while env.agents:
-        *_, infos = env.step({"uav_0": outward(env, "uav_0"), "ugv_0": np.array([-0.1, 0.0])})
+        *_, infos = env.step({"uav_0": outward(env), "ugv_0": np.array([-0.1, 0.0])})
         intervened += infos["uav_0"]["overridden"]
         assert infos["uav_0"]["certified"], infos
         assert env.metrics()["uav_0"]["distance"] < min(
@@ -185,7 +185,7 @@ def test_filter_keeps_sight_with_rounded_observations() -> None:
     env = parallel_env(watched(), safety_filter=True, estimate=True, dtype=np.float32)
     env.reset(seed=7)
     while env.agents:
-        *_, infos = env.step({"uav_0": outward(env, "uav_0"), "ugv_0": np.array([-0.1, 0.0])})
+        *_, infos = env.step({"uav_0": outward(env), "ugv_0": np.array([-0.1, 0.0])})
         assert infos["uav_0"]["certified"], infos
 
 
