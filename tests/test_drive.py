@@ -349,7 +349,7 @@ def test_drive_continues_with_the_next_simulator(endpoint: str) -> None:
         one.await_text("SIMULATOR DISCONNECTED")
         with scripted(endpoint) as simulator:
             one.await_text("drives ugv_0")
-            one.wait_until_true(lambda: "GONE" not in one.screen.text)
+            one.wait_until_true(lambda: "DISCONNECTED" not in one.screen.text)
             one.hold("w", lambda: simulator.drivers["ugv_0"] == "teleop" and simulator.drives)
             assert simulator.drives[-1].velocity == (0.0, 0.1)
             one.resize(46, 20)

@@ -232,9 +232,9 @@ dropout = 0.1
 [law]
 name = "certified"
 [certificate]
-age = 3.0
-delay = 0.2
-outage = 3.0
+max_measurement_age = 3.0
+max_command_delay = 0.2
+max_command_interval = 3.0
 [links.detections]
 trace = "wifi-far.csv"
 [links.commands]
@@ -768,11 +768,11 @@ class Checks:
             disturb()
             code, log = self.docker.landed()
         expect(code == 0, f"the simulator ended with {code}: {log[-300:]}")
-        found = re.search(rf"{lost} is lost(?: at tick (\d+))?", log)
+        found = re.search(rf"{lost} disconnected(?: at tick (\d+))?", log)
         expect(found is not None, f"the simulator has not noticed: {log[-300:]}")
         same = same_flight(self.docker.summary(), reference)
         at = found.group(1) if found else None
-        return f"lost at tick {at}; {same}" if at else same
+        return f"disconnected at tick {at}; {same}" if at else same
 
     def kill(self) -> str:
         """The UAV's process is killed with SIGKILL, and Docker restarts it."""
@@ -812,11 +812,11 @@ class Checks:
             time.sleep(1)
             self.docker("start", container)
 
-        return self._disturbed(disturb, lost="the router")
+        return self._disturbed(disturb, lost="router")
 
     def router_crash(self) -> str:
         """The router's process is killed with SIGKILL, and Docker restarts it."""
-        return self._disturbed(lambda: self.docker.python("router", KILL), lost="the router")
+        return self._disturbed(lambda: self.docker.python("router", KILL), lost="router")
 
     def realtime(self) -> str:
         """The real-time profile keeps the clock."""
