@@ -38,7 +38,7 @@ def nothing_left_behind(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         yield
         wait_until(
             lambda: not os.listdir(folder),
-            told=lambda: f"left behind: {[str(path) for path in Path(folder).rglob('*')]}",
+            failure=lambda: f"left behind: {[str(path) for path in Path(folder).rglob('*')]}",
         )
 
 
