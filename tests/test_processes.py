@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -20,7 +19,6 @@ from processes import (
     flown_both_ways,
     flying,
     free_port,
-    outrider,
     python,
     ran,
     started,
@@ -36,32 +34,26 @@ def _same_bits(name: str, seconds: float) -> None:
     there, here = flown_both_ways(name, f"duration={seconds}")
     assert there["ticks"] == here.ticks >= round(seconds / 0.05)
     assert there["deterministic"] is True
-    names = [process["name"] for process in there["processes"]]
-    assert names == ["simulator", "uav_0", "ugv_0"]
-    assert len({process["pid"] for process in there["processes"]}) == 3
 
 
-@pytest.mark.parametrize(
-    ("name", "seconds"),
-    [("escort", 50.0), ("scenario-2", 10.0)],
-)
-def test_three_processes_and_one_fly_the_same_bits(name: str, seconds: float) -> None:
+def test_two_runs_at_once_fly_the_bits_of_one_process() -> None:
     """Scenarios with hazards: tests/test_ground_flights.py."""
-    _same_bits(name, seconds)
+    arguments = words("run escort --duration 40 --json --no-files")
+    with started(*arguments) as one, started(*arguments) as other:
+        summaries = [json.loads(run.communicate(timeout=120)[0]) for run in (one, other)]
+    _, here = fly(load_scenario("escort", overrides=["duration=40.0"]), 7)
+    for there in summaries:
+        assert there["trajectory_sha256"] == here.trajectory_sha256
+        assert (there["ticks"], there["deterministic"]) == (800, True)
+        names = [process["name"] for process in there["processes"]]
+        assert names == ["simulator", "uav_0", "ugv_0"]
+    assert len({process["pid"] for there in summaries for process in there["processes"]}) == 6
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", scenario_names())
 def test_every_scenario_flies_alike_over_three_processes(name: str) -> None:
     _same_bits(name, 100.0)
-
-
-def test_two_runs_at_once_do_not_meet() -> None:
-    command = [*OUTRIDER, *words("run escort --duration 40 --json --no-files")]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-    runs = [subprocess.Popen(command, **pipes) for _ in range(2)]
-    hashes = [json.loads(run.communicate(timeout=120)[0])["trajectory_sha256"] for run in runs]
-    assert hashes[0] == hashes[1]
 
 
 def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> None:
@@ -84,66 +76,57 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> N
     assert whole.trajectory_sha256 == summary["trajectory_sha256"]
 
 
-@pytest.mark.parametrize("name", ["long" * 25, "a#b?c d%20$e[f]{g}"])
-def test_a_run_flies_whatever_its_paths_are(name: str, tmp_path, monkeypatch) -> None:
-    folder = tmp_path / name
-    folder.mkdir()
-    monkeypatch.setenv("TMPDIR", str(folder))
-    (tmp_path / "-x #%d.toml").write_text(shipped_text("escort"), encoding="utf-8")
-    command = (*words("run --duration 1 --no-files --json --"), "-x #%d.toml")
-    run = outrider(*command, cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
-    assert not list(folder.iterdir())
-
-
-@pytest.mark.parametrize("closed", ["0 1", "0 1 2"])
-def test_a_run_does_not_need_its_standard_files(closed: str, tmp_path: Path) -> None:
-    """Sockets and pipes then have other descriptors."""
-    closing = " ".join(f"{number}>&-" for number in closed.split())
-    run = words("run escort --duration 1 --no-picture --out")
-    shell = ["sh", "-c", f'exec "$@" {closing}', "sh", *OUTRIDER, *run, tmp_path / "mine"]
-    assert ran(shell, timeout=120).returncode == 0
-    names = sorted(path.name for path in (tmp_path / "mine").iterdir())
-    assert names == words("coverage.npy scenario.toml summary.json trajectory.csv")
-
-
-def _ending(before: str) -> "subprocess.CompletedProcess[str]":
-    """Run the end of a command after this code."""
-    code = f"import atexit, os, signal, sys, threading, time\nfrom outrider.cli.main import main\n{before}\n"
-    return python(f"{code}sys.argv = ['outrider', '--version']\nmain()\n", check=False)
-
-
-def test_signal_during_exit_is_silent() -> None:
-    ended = _ending("atexit.register(os.kill, os.getpid(), signal.SIGTERM)")
-    assert ended.stdout.startswith("outrider ")
-    assert (ended.stderr, ended.returncode) == ("", 0)
-
-
-def test_output_that_cannot_be_written_at_the_end_is_a_failure() -> None:
-    ended = _ending(
-        "class Full:\n    def flush(self):\n        raise OSError(28, 'No space left on device')\n"
-        "atexit.register(setattr, sys, 'stdout', Full())"
-    )
-    assert ended.returncode > 0
-
-
 _OPEN = """
 FILE = open("kept.csv", "w")
 
 def policy(*seen):
     FILE.write("a row\\n")
-    return 0.0, 0.0
+    return 0.05, 0.0
 """
 
 
-def test_a_file_that_a_policy_leaves_open_is_written_out(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(_OPEN)
-    changes = words("ugv.0.driver=policy custom.policy=mine:policy")
-    options = [word for change in changes for word in ("--set", change)]
-    command = ["run", "escort", "--duration", "1", "--no-files", *options]
-    run = outrider(*command, cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+SCRIPT = [Path(sys.executable).with_name("outrider")]
+
+
+@pytest.mark.parametrize(
+    ("name", "closed", "program"),
+    [("long" * 25, "0 1 2", OUTRIDER), ("a#b?c d%20$e[f]{g}", "0 1", SCRIPT)],
+    ids=["long", "odd"],
+)
+def test_a_run_flies_in_a_hostile_folder(name, closed, program, tmp_path, monkeypatch) -> None:
+    """Odd paths, no standard files, and modules with the names of ours and of libraries."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path / name))
+    (tmp_path / name).mkdir()
+    (tmp_path / "-x #%d.toml").write_text(shipped_text("escort"), encoding="utf-8")
+    (tmp_path / "mine.py").write_text(_OPEN, encoding="utf-8")
+    for library in ("zenoh", "msgspec", "numba", "socket", "subprocess"):
+        (tmp_path / f"{library}.py").write_text("raise SystemExit('hijacked')\n", encoding="utf-8")
+    # `python -m outrider` runs the folder's own outrider, if it has one
+    for package in ("agents", "sim", "bus", "outrider")[: 3 + (program is SCRIPT)]:
+        (tmp_path / package).mkdir()
+        (tmp_path / package / "__init__.py").write_text("raise SystemExit('hijacked')\n")
+    run = words("run --driver policy --set custom.policy=mine:policy --duration 1 --no-picture")
+    closing = " ".join(f"{number}>&-" for number in closed.split())
+    shell = ["sh", "-c", f'exec "$@" {closing}', "sh", *program, *run]
+    done = ran([*shell, "--out", "flown", "--", "-x #%d.toml"], cwd=tmp_path, timeout=120)
+    assert done.returncode == 0, done.stderr
+    files = sorted(path.name for path in (tmp_path / "flown").iterdir())
+    assert files == words("coverage.npy scenario.toml summary.json trajectory.csv")
+    assert json.loads((tmp_path / "flown" / "summary.json").read_bytes())["ticks"] == 20
+    # a file that a policy leaves open is written to its end
     assert (tmp_path / "kept.csv").read_text().count("a row") >= 20
+    assert not list((tmp_path / name).iterdir())
+
+
+def test_signal_during_exit_is_silent() -> None:
+    code = (
+        "import atexit, os, signal, sys\nfrom outrider.cli.main import main\n"
+        "atexit.register(os.kill, os.getpid(), signal.SIGTERM)\n"
+        "sys.argv = ['outrider', '--version']\nmain()\n"
+    )
+    ended = python(code, check=False)
+    assert ended.stdout.startswith("outrider ")
+    assert (ended.stderr, ended.returncode) == ("", 0)
 
 
 def test_dead_vehicle_brakes_and_is_named_by_the_run(tmp_path: Path) -> None:
@@ -193,43 +176,20 @@ def test_a_killed_run_leaves_no_process_and_no_credentials() -> None:
         wait_until(lambda: not list(folder.iterdir()))
 
 
-def test_a_vehicle_that_never_comes_is_named() -> None:
+def test_a_vehicle_that_never_comes_is_named(command) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    run = outrider("simulator", "escort", "--listen", endpoint, "--join-timeout", "0.2")
+    run = command("simulator", "escort", "--listen", endpoint, "--join-timeout", "0.2")
     assert run.returncode == 1
     assert "uav_0 and ugv_0 did not join within 0.2 s" in run.stderr
     assert "Traceback" not in run.stderr
-
-
-def test_files_in_the_working_folder_shadow_no_module(tmp_path: Path) -> None:
-    for name in ("zenoh", "msgspec", "numba", "socket", "subprocess"):
-        (tmp_path / f"{name}.py").write_text("raise SystemExit('hijacked')\n", encoding="utf-8")
-    hostile = 'raise SystemExit(f"hijacked by {__name__}")\n'
-    mine = "def policy(observation, briefing):\n    return (0.05, 0.0)\n"
-    (tmp_path / "mine.py").write_text(mine, encoding="utf-8")
-    checked = outrider("check", "escort", cwd=tmp_path)
-    assert checked.returncode == 0, checked.stderr
-    for name in ("agents", "sim", "bus", "outrider"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "__init__.py").write_text(hostile, encoding="utf-8")
-    # `python -m outrider` runs the folder's own outrider, if it has one
-    script = Path(sys.executable).with_name("outrider")
-    arguments = words(
-        "run --driver policy --set custom.policy=mine:policy --duration 1 --no-files --json"
-    )
-    run = ran([script, *arguments], cwd=tmp_path, timeout=120)
-    assert run.returncode == 0, run.stderr
-    assert json.loads(run.stdout)["ticks"] == 20
 
 
 def test_the_next_start_removes_what_a_killed_run_left(monkeypatch) -> None:
     """A killed run may leave its folder before it has started any process."""
     folder = Path(os.environ["TMPDIR"])
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    with started("run", "escort", "--duration", "1", "--no-files") as run:
-        wait_until(lambda: list(folder.glob("outrider-*/.lock")))
-        run.kill()
-        run.wait()
+    (folder / "outrider-killed").mkdir(mode=0o700)
+    (folder / "outrider-killed" / ".lock").touch()
     with run_folder() as own:
         assert list(folder.glob("outrider-*/.lock")) == [own / ".lock"]
         with run_folder() as other:  # a live run keeps its folder
