@@ -6,7 +6,6 @@ import os
 import signal
 import socket
 import subprocess
-import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -148,12 +147,16 @@ def test_a_vehicle_killed_before_the_first_tick_is_started_again(monkeypatch):
     assert Doomed.started == ["simulator", "uav_0", "ugv_0", "uav_0", "ugv_0"]
 
 
-def test_a_router_that_dies_and_comes_back_changes_no_bit(tmp_path: Path) -> None:
+def test_simulator_and_router_that_return_change_no_bit(tmp_path: Path) -> None:
     """The restarted router is for this run alone, and ends with it."""
     with scattered(tmp_path) as run:
         router = run.router()
         simulator = run.simulator()
         vehicles = run.vehicles()
+        run.fly_to(500)
+        simulator.kill()
+        simulator.wait()
+        simulator = run.simulator()  # its run begins again
         run.fly_to(500)
         router.kill()
         router.wait()
@@ -168,31 +171,18 @@ def test_a_router_that_dies_and_comes_back_changes_no_bit(tmp_path: Path) -> Non
 def test_lost_router_ends_every_process_with_a_reason(tmp_path: Path) -> None:
     with scattered(tmp_path) as run:
         router = run.router()
-        simulator = run.simulator("--join-timeout", "2")
-        vehicles = run.vehicles("--join-timeout", "2")
+        simulator = run.simulator("--join-timeout", "5")
+        vehicles = run.vehicles("--join-timeout", "5")  # all start at about the same time
         run.fly_to(100)
         router.kill()
         router.wait()
         out, err = simulator.communicate(timeout=60)
         assert simulator.returncode == 1
-        assert "the router has been disconnected for 2 s" in err
+        assert "the router has been disconnected for 5 s" in err
         assert "Traceback" not in err
         assert json.loads(out)["ticks"] > 100  # the flown part is kept
         for vehicle in vehicles:
-            ended(vehicle, "the router has been absent for 2 s")
-
-
-def test_vehicles_fly_with_the_next_simulator(tmp_path: Path) -> None:
-    with scattered(tmp_path) as run:
-        run.router()
-        simulator = run.simulator()
-        vehicles = run.vehicles()
-        run.fly_to(500)
-        simulator.kill()
-        simulator.wait()
-        summary, _ = finished(run.simulator())
-        assert [vehicle.wait(30.0) for vehicle in vehicles] == [0, 0]
-    assert summary["trajectory_sha256"] == undisturbed(SECRET)
+            ended(vehicle, "the router has been absent for 5 s")
 
 
 def test_lost_simulator_ends_vehicles_with_a_reason(tmp_path: Path) -> None:
@@ -279,15 +269,3 @@ def test_a_full_disk_names_the_file_that_could_not_be_written(tmp_path: Path, wr
     with pytest.raises(OSError, match="No space left") as error:
         writers[written]()
     assert error.value.filename == str(full)
-
-
-def test_a_late_vehicle_is_named_on_the_terminal() -> None:
-    with flying(*QUIET, "--set", "run.deadline=0.3") as run:
-        frozen = child_of(run, "ugv")
-        os.kill(frozen, signal.SIGSTOP)
-        time.sleep(0.6)  # less than the timeout of a vehicle
-        os.kill(frozen, signal.SIGCONT)
-        summary, err = finished(run)
-    assert "ugv_0 is late: no command for tick" in " ".join(err.split())
-    assert "after 0." in err
-    assert summary["deterministic"] is False

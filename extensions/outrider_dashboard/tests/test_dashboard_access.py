@@ -249,6 +249,19 @@ def served(head_timeout: float = 60.0) -> Iterator[Served]:
             process.terminate()
 
 
+@pytest.fixture(scope="module")
+def server() -> Iterator[Served]:
+    with served() as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def hasty_server() -> Iterator[Served]:
+    """A server that waits half a second for the head of a request."""
+    with served(head_timeout=0.5) as one:
+        yield one
+
+
 def _listens(port: int) -> bool:
     with socket.socket() as probe:
         return probe.connect_ex(("127.0.0.1", port)) == 0
@@ -269,8 +282,8 @@ def ended(connection: socket.socket, seconds: float) -> bytes:
     [b"Cookie: " + b'a="\\"' * 40_000 + b"\r\n", b"a: b\r\n" * 3_000_000],
     ids=["cookie of 160 kB", "3 million headers"],
 )
-def test_large_head_costs_no_time_or_memory(header: bytes) -> None:
-    with served() as server, server.connect() as attack:
+def test_large_head_costs_no_time_or_memory(server: Served, header: bytes) -> None:
+    with server.connect() as attack:
         assert server.status(f"/?token={TOKEN}") == 303
         before = server.peak()
         with contextlib.suppress(ConnectionResetError, BrokenPipeError):
@@ -280,11 +293,11 @@ def test_large_head_costs_no_time_or_memory(header: bytes) -> None:
         assert server.peak() - before < 10.0
 
 
-def test_idle_connections_keep_no_new_user_out() -> None:
+def test_idle_connections_keep_no_new_user_out(server: Served) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
     try:
-        with served() as server, contextlib.ExitStack() as stack:
+        with contextlib.ExitStack() as stack:
             for _ in range(1200):
                 stack.enter_context(server.connect())
             assert server.status() == 401
@@ -294,28 +307,28 @@ def test_idle_connections_keep_no_new_user_out() -> None:
 
 
 @pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nA: "])
-def test_a_head_that_does_not_come_ends_its_connection(sent: bytes) -> None:
-    with served(head_timeout=0.5) as server, server.connect() as slow:
+def test_a_head_that_does_not_come_ends_its_connection(hasty_server: Served, sent: bytes) -> None:
+    with hasty_server.connect() as slow:
         slow.sendall(sent)
         assert ended(slow, 5.0) == b""
 
 
-def test_a_refused_request_ends_its_connection() -> None:
-    with served() as server, server.connect() as slow:
+def test_a_refused_request_ends_its_connection(server: Served) -> None:
+    with server.connect() as slow:
         slow.sendall(b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 100000\r\n\r\na")
         assert ended(slow, 5.0).startswith(b"HTTP/1.1 401 ")
 
 
-def test_a_slow_head_within_the_bounds_is_served() -> None:
-    with served() as server, server.connect() as slow:
+def test_a_slow_head_within_the_bounds_is_served(server: Served) -> None:
+    with server.connect() as slow:
         for byte in f"GET /?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode():
             slow.sendall(bytes([byte]))
             time.sleep(0.002)
         assert slow.recv(1 << 16).startswith(b"HTTP/1.1 303 ")
 
 
-def test_only_the_oldest_idle_connection_makes_room() -> None:
-    with served() as server, contextlib.ExitStack() as stack:
+def test_only_the_oldest_idle_connection_makes_room(server: Served) -> None:
+    with contextlib.ExitStack() as stack:
         idle = [stack.enter_context(server.connect()) for _ in range(MAX_PENDING)]
         assert server.status() == 401
         assert ended(idle[0], 5.0) == b""

@@ -21,7 +21,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from observed import recorded
 from outrider.running.metrics import MISSION, NOW, Metric
-from processes import alive, child_of, family, outrider, started, wait_until
+from processes import alive, child_of, family, started, wait_until
 from sim.scenario.loading import load_scenario
 from tabular import words
 
@@ -133,7 +133,7 @@ def test_run_with_page_is_real_time_and_ctrl_c_ends_all() -> None:
 
 
 def test_dead_page_is_reported_once_and_the_run_continues() -> None:
-    arguments = words("run --with dashboard:port=0 --realtime 0 --duration 250 --no-files --json")
+    arguments = words("run --with dashboard:port=0 --realtime 0 --duration 120 --no-files --json")
     with started(*arguments) as run:
         page = page_of(run)
         with browser(page) as channel:
@@ -144,7 +144,7 @@ def test_dead_page_is_reported_once_and_the_run_continues() -> None:
     assert err.count("the run continues without it") == 1
     assert "killed by signal 9" in err
     summary = json.loads(out)
-    assert summary["ticks"] == 5_000
+    assert summary["ticks"] == 2_400
     assert summary["deterministic"] is True
 
 
@@ -159,10 +159,10 @@ def test_the_page_ends_when_its_run_is_killed() -> None:
     assert not serves(page)
 
 
-def test_busy_port_is_refused_before_the_run_starts(tmp_path: Path) -> None:
+def test_busy_port_is_refused_before_the_run_starts(tmp_path: Path, command) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        run = outrider("run", "--with", f"dashboard:port={port}", "--out", str(tmp_path / "flight"))
+        run = command("run", "--with", f"dashboard:port={port}", "--out", tmp_path / "flight")
     assert run.returncode == 2
     assert len(run.stderr.strip().splitlines()) == 1
     assert f"port {port}" in run.stderr
@@ -199,7 +199,7 @@ def test_page_replays_a_recording_without_controls(recording: Path) -> None:
                 assert frame["state"]["control"] == "free"
                 if frame["state"]["replay"]["at"] >= 30.0:
                     break
-            assert time.monotonic() - began < 10.0
+            assert time.monotonic() - began < 25.0  # faster than recorded
         replay.send_signal(signal.SIGINT)
         assert replay.wait(20.0) == 130
     assert rows[0][0] == 0.0
