@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,7 @@ from outrider.experiments.sweep.plan import SweepPlan, lay_out
 from outrider.experiments.sweep.running import fly_sweep, make_tasks, open_cluster
 from outrider.experiments.sweep.worker import fly_runs
 from outrider.running.flying import run
-from processes import OUTRIDER, PIPES, blocks, command_line, outrider, stat_of, wait_until
+from processes import OUTRIDER, PIPES, blocks, command_line, stat_of, wait_until
 from refusals import refused
 from sim.scenario.loading import load_scenario, scenario_names
 from tabular import words
@@ -38,7 +39,9 @@ SMALL = {
 GRID = [*words("sweep escort --law linear,switching --vary detections.noise=0,0.5 --set"), CELLS]
 
 GOALS = "ugv.0.goals=[[1, 2]],[[3.5, 4]]"
-LONG = words("--seeds 12 --set duration=20.0")
+LONG = words("--seeds 12 --set duration=20.0 --jobs 2 --json --out")
+RUNS = 48
+"""Runs of this grid."""
 
 
 def plan_of(source: str = "escort", **given) -> SweepPlan:
@@ -53,7 +56,7 @@ def rows_of(folder: Path) -> dict[str, list[object]]:
     return rows
 
 
-def flown(folder: Path, plan: SweepPlan, jobs: int = 2) -> dict[str, list[object]]:
+def flown(folder: Path, plan: SweepPlan, jobs: int = 1) -> dict[str, list[object]]:
     with SweepFolder(folder, plan, command="outrider sweep") as there:
         fly_sweep(plan, there, jobs=jobs)
         there.finish()
@@ -65,6 +68,12 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[obje
     """Return the table of the long sweep without disturbances."""
     plan = plan_of(**SMALL | {"changes": [CELLS, "duration=20.0"], "seeds": 12})
     return flown(tmp_path_factory.mktemp("sweep") / "whole", plan)
+
+
+@pytest.fixture(scope="module")
+def small_rows(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[object]]:
+    """Return the table of the small sweep, flown in this process."""
+    return flown(tmp_path_factory.mktemp("sweep") / "small", plan_of())
 
 
 def wait_for(there: Callable[[], bool], process: "subprocess.Popen[str]") -> None:
@@ -184,9 +193,8 @@ def test_tasks_are_every_missing_run_once():
 # Rows
 
 
-def test_sweep_rows_equal_single_runs_for_any_jobs(tmp_path):
-    plan = plan_of()
-    two = flown(tmp_path / "two", plan, jobs=2)
+def test_sweep_rows_equal_single_runs_for_any_jobs(tmp_path, small_rows):
+    two = flown(tmp_path / "two", plan_of(), jobs=2)
     assert two["run"] == list(range(12))
     for k in (0, 4, 11):
         noise = f"detections.noise={two['detections.noise'][k]}"
@@ -201,7 +209,7 @@ def test_sweep_rows_equal_single_runs_for_any_jobs(tmp_path):
         assert two["detections_delivery_ratio"][k] == delivered
     assert set(two["error"]) == {None}
     assert len(set(two["trajectory_sha256"])) == 12
-    assert flown(tmp_path / "one", plan, jobs=1) == two
+    assert small_rows == two
 
 
 def test_violations_are_distinguished_from_visible_runs():
@@ -214,9 +222,8 @@ def test_violations_are_distinguished_from_visible_runs():
     assert bad["visibility_violations"] > 0
 
 
-def test_sweep_resumes_and_flies_nothing_twice(tmp_path):
+def test_sweep_resumes_and_flies_nothing_twice(tmp_path, small_rows):
     plan = plan_of()
-    whole = flown(tmp_path / "whole", plan)
     folder = SweepFolder(tmp_path / "cut", plan, command="")
     for first in (0, 4, 5):
         task = {run: plan.seed_of(run) for run in range(first, first + 1)}
@@ -227,12 +234,12 @@ def test_sweep_resumes_and_flies_nothing_twice(tmp_path):
     assert again.done == {0, 4, 5}
     new: list[int] = []
     fly_sweep(
-        plan, again, jobs=2, on_results=lambda results: new.extend(row["run"] for row in results)
+        plan, again, jobs=1, on_results=lambda results: new.extend(row["run"] for row in results)
     )
     assert sorted(new) == [1, 2, 3, 6, 7, 8, 9, 10, 11]
     again.finish()
     again.close()
-    assert rows_of(tmp_path / "cut") == whole
+    assert rows_of(tmp_path / "cut") == small_rows
     assert not list((tmp_path / "cut" / "parts").iterdir())
 
 
@@ -258,45 +265,39 @@ def test_small_files_are_merged_and_duplicate_rows_dropped(tmp_path, monkeypatch
     assert set(rows["error"]) == {None}
 
 
-def test_killed_sweep_ends_its_workers_and_resumes(tmp_path, undisturbed):
-    command = [*OUTRIDER, *GRID, *LONG, "--jobs", "2", "--out", str(tmp_path / "killed")]
-    victim = started(*command)
-    wait_for(lambda: parts(tmp_path / "killed") >= 2, victim)
+def test_interrupted_and_killed_sweep_resumes(tmp_path, undisturbed, command):
+    """First Ctrl-C, then SIGKILL; neither leaves a process, and no run is flown twice."""
+    folder = tmp_path / "sweep"
+    first = started(*OUTRIDER, *GRID, *LONG, str(folder), stdout=subprocess.PIPE)
+    wait_for(lambda: parts(folder) >= 1, first)
+    workers = [pid for pid in _session(first.pid) if "--multiprocessing-fork" in command_line(pid)]
+    # otherwise one may show where it was interrupted
+    blocking = [blocks(pid, signal.SIGINT) for pid in workers]
+    os.killpg(first.pid, signal.SIGINT)  # like a terminal: also to the workers
+    out, err = first.communicate(timeout=60)
+    assert blocking == [True, True]
+    assert first.returncode == 130, err
+    assert out == ""
+    kept = len(rows_of(folder)["run"])
+    wanted = f"{kept} of {RUNS} runs are in {folder}; run the same command to resume"
+    assert err.strip() == f"outrider: interrupted; {wanted}"
+    wait_until(lambda: not _session(first.pid))
+    before = parts(folder)
+    victim = started(*OUTRIDER, *GRID, *LONG, str(folder), stdout=subprocess.DEVNULL)
+    wait_for(lambda: parts(folder) > before, victim)
     victim.kill()
     victim.wait()
     wait_until(lambda: not _session(victim.pid))
     victim.communicate()
-    kept = len(rows_of(tmp_path / "killed")["run"])
-    assert 0 < kept < 48
-    assert not (tmp_path / "killed" / "results.parquet").exists()
-    again = outrider(*GRID, *LONG, "--jobs", "1", "--out", str(tmp_path / "killed"), "--json")
+    kept = len(rows_of(folder)["run"])
+    assert 0 < kept < RUNS
+    assert not (folder / "results.parquet").exists()
+    again = command(*GRID, *LONG, folder, "--jobs", "1")
     assert again.returncode == 0, again.stderr
     output = json.loads(again.stdout)
-    assert (output["rows"], output["failed"], output["flown"]) == (48, 0, 48 - kept)
+    assert (output["rows"], output["failed"], output["flown"]) == (RUNS, 0, RUNS - kept)
     assert output["runs_per_second"] > 0.0
-    assert rows_of(tmp_path / "killed") == undisturbed
-
-
-def test_ctrl_c_keeps_rows_and_leaves_no_process(tmp_path):
-    command = [*OUTRIDER, *GRID, "--seeds", "200", "--out", str(tmp_path / "sweep"), "--jobs", "2"]
-    process = started(*command, stdout=subprocess.PIPE)
-    wait_for(lambda: parts(tmp_path / "sweep") >= 1, process)
-    workers = [
-        pid for pid in _session(process.pid) if "--multiprocessing-fork" in command_line(pid)
-    ]
-    # otherwise one may show where it was interrupted
-    blocking = [blocks(pid, signal.SIGINT) for pid in workers]
-    os.killpg(process.pid, signal.SIGINT)  # like a terminal: also to the workers
-    out, err = process.communicate(timeout=30)
-    assert blocking == [True, True]
-    assert process.returncode == 130, err
-    assert out == ""
-    kept = len(rows_of(tmp_path / "sweep")["run"])
-    assert err.strip() == (
-        f"outrider: interrupted; {kept} of 800 runs are in {tmp_path / 'sweep'}; run the same command "
-        "to resume"
-    )
-    wait_until(lambda: not _session(process.pid))
+    assert rows_of(folder) == undisturbed
 
 
 def _session(number: int) -> list[int]:
@@ -309,41 +310,58 @@ def _session(number: int) -> list[int]:
     return found
 
 
-def test_failed_run_is_a_row_with_its_error(tmp_path):
-    (tmp_path / "mine.py").write_text(
+def test_failed_run_is_a_row_with_its_error(here, command, monkeypatch):
+    (here / "loose_wheel.py").write_text(
         "def policy(observation, briefing):\n"
-        "    if int(briefing.key, 16) % 2 and observation.time > 2.0:\n        raise RuntimeError('the wheel "
-        "came off')\n"
+        "    if int(briefing.key, 16) % 2 and observation.time > 2.0:\n"
+        "        raise RuntimeError('the wheel came off')\n"
         "    return 0.0, 0.0\n",
         encoding="utf-8",
     )
-    mine = words(
-        "--vary custom.policy=mine:policy --set ugv.0.driver=policy --set duration=5 --set"
-    )
-    rest = words("--seeds 6 --jobs 1 --out out --json")
-    command = ["sweep", "escort", *mine, CELLS, *rest]
-    swept = outrider(*command, cwd=tmp_path)
+    mine = words("--vary custom.policy=loose_wheel:policy --set ugv.0.driver=policy --set")
+    rest = words("duration=5 --seeds 6 --jobs 1 --out out --json")
+    arguments = ["sweep", "escort", "--set", CELLS, *mine, *rest]
+    swept = command(*arguments)
     assert swept.returncode == 1, swept.stderr
     output = json.loads(swept.stdout)
     assert output["rows"] == 6
     assert 0 < output["failed"] < 6
     assert f"{output['failed']} of 6 runs failed" in swept.stderr
     assert "the wheel came off" in swept.stderr
-    rows = rows_of(tmp_path / "out")
+    rows = rows_of(here / "out")
     flew = [sha is not None for sha in rows["trajectory_sha256"]]
     assert [error is None for error in rows["error"]] == flew
-    (tmp_path / "mine.py").write_text(
+    (here / "loose_wheel.py").write_text(
         "def policy(observation, briefing):\n    return 0.0, 0.0\n", encoding="utf-8"
     )
-    mended = outrider(*command, cwd=tmp_path)
+    monkeypatch.delitem(sys.modules, "loose_wheel")
+    mended = command(*arguments)
     assert mended.returncode == 0, mended.stderr
     assert json.loads(mended.stdout)["flown"] == output["failed"]
-    assert set(rows_of(tmp_path / "out")["error"]) == {None}
+    assert set(rows_of(here / "out")["error"]) == {None}
 
 
 # A cluster
 
 
+def test_cluster_flies_the_same_rows(tmp_path, small_rows):
+    """The workers are threads of this process."""
+    from distributed import LocalCluster
+
+    plan, here = plan_of(), version("outrider")
+    with (
+        LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
+        ) as cluster,
+        open_cluster(cluster.scheduler_address, here) as client,
+        SweepFolder(tmp_path / "far", plan, command="") as folder,
+    ):
+        fly_sweep(plan, folder, jobs=2, client=client)
+        folder.finish()
+    assert rows_of(tmp_path / "far") == small_rows
+
+
+@pytest.mark.long
 def test_cluster_survives_a_dead_worker_with_the_same_rows(undisturbed, tmp_path):
     from distributed import Client
 
@@ -363,13 +381,13 @@ def test_cluster_survives_a_dead_worker_with_the_same_rows(undisturbed, tmp_path
         address = json.loads(info.read_text())["address"]
         with Client(address, timeout=60) as client:
             client.wait_for_workers(2, timeout=60)
-        command = [*OUTRIDER, *GRID, *LONG, "--dask", address, "--json", "--out"]
+        command = [*OUTRIDER, *GRID, "--dask", address, *LONG]
         sweep = subprocess.Popen([*command, str(tmp_path / "far")], **PIPES)
         wait_for(lambda: parts(tmp_path / "far") >= 2, sweep)
         processes[1].kill()
         out, err = sweep.communicate(timeout=100)
         assert sweep.returncode == 0, err
-        assert json.loads(out)["rows"] == 48
+        assert json.loads(out)["rows"] == RUNS
     finally:
         for process in processes:
             process.kill()
