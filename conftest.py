@@ -52,6 +52,7 @@ def command(
     def call(*arguments: object) -> "CompletedProcess[str]":
         monkeypatch.setattr(sys, "argv", ["outrider", *map(str, arguments)])
         monkeypatch.setenv("PYTHONSAFEPATH", "")  # which it sets
+        monkeypatch.setattr(sys, "path", [*sys.path])  # a user's code adds its folder
         before = signal.getsignal(signal.SIGTERM)
         try:
             code = main.run_command_line()

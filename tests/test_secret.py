@@ -27,7 +27,7 @@ from outrider.envs.vector import OutriderVectorEnv
 from outrider.recording.reader import flight_of
 from outrider.recording.refly import refly
 from outrider.running.flying import fly, run
-from processes import command_line, family, flying, outrider, started
+from processes import command_line, family, flying, started
 from refusals import refused
 from sim.engine.briefing import briefing
 from sim.scenario.loading import load_scenario
@@ -117,12 +117,14 @@ def test_secret_flight_survives_rejoin_and_reset_over_the_bus(tmp_path: Path) ->
     assert plain.trajectory_sha256 != flight.recorder.sha256() == alone.trajectory_sha256
 
 
-def test_secret_runs_fly_alike_and_leave_private_files(tmp_path: Path, secret_file: str) -> None:
+def test_secret_runs_fly_alike_and_leave_private_files(
+    tmp_path: Path, secret_file: str, command: Any
+) -> None:
     written = {}
     for name, more in {"three": (), "one": ("--in-process",)}.items():
         folder, recorded = tmp_path / name, tmp_path / f"{name}.mcap"
-        options = ("escort", "--duration", "5", "--secret", secret_file, "--out", str(folder))
-        done = outrider("run", *options, "--record", str(recorded), "--no-picture", "--json", *more)
+        options = ("escort", "--duration", "5", "--secret", secret_file, "--out", folder)
+        done = command("run", *options, "--record", recorded, "--no-picture", "--json", *more)
         assert done.returncode == 0, done.stderr
         assert SECRET not in done.stderr
         written[name] = json.loads((folder / "summary.json").read_bytes())
@@ -142,12 +144,12 @@ def test_secret_runs_fly_alike_and_leave_private_files(tmp_path: Path, secret_fi
 
 @pytest.mark.parametrize("is_private", [True, False])
 def test_only_a_simulator_with_credentials_makes_a_secret(
-    is_private, endpoint, tmp_path, monkeypatch
+    is_private, endpoint, tmp_path, monkeypatch, command
 ):
     """The processes are started one by one."""
     monkeypatch.delenv(VARIABLE, raising=False)
     known = tmp_path / "credentials"
-    assert outrider("credentials", str(known), "--scenario", "escort").returncode == 0
+    assert command("credentials", known, "--scenario", "escort").returncode == 0
 
     def own(name: str) -> list[str]:
         return ["--credentials", str(known / f"{name}.json")] if is_private else []

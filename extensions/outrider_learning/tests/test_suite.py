@@ -2,7 +2,6 @@
 
 import json
 import math
-import sys
 from typing import Any
 
 import numpy as np
@@ -364,8 +363,7 @@ def test_duplicate_tasks_and_invalid_entries_are_refused() -> None:
         leaderboard({"mine": None}, tasks=[TASK])
 
 
-def test_the_command_scores_laws_and_policies(here, command, monkeypatch) -> None:
-    monkeypatch.setattr(sys, "path", [*sys.path])
+def test_the_command_scores_laws_and_policies(here, command) -> None:
     source = "import numpy as np\n\n\ndef away(seen):\n    return np.full((len(seen), 2), 0.3)\n"
     (here / "mine_for_the_suite.py").write_text(source, encoding="utf-8")
     own = words("--uav-policy mine_for_the_suite:away --safety-filter --only short-sight --secret")
