@@ -60,7 +60,9 @@ def python(
     code: str, *arguments: str, check: bool = True, **settings: Any
 ) -> "subprocess.CompletedProcess[str]":
     """Run code in a fresh interpreter and return its result."""
-    return ran([sys.executable, "-c", code, *arguments], check=check, **settings)
+    done = ran([sys.executable, "-c", code, *arguments], **settings)
+    assert not check or done.returncode == 0, done.stderr
+    return done
 
 
 def loaded_by(modules: str) -> set[str]:

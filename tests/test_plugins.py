@@ -1,26 +1,28 @@
-"""A law, a driver and a sensor of another package, as in CONTRIBUTING.md, fly in every environment."""
+"""Packages beside Outrider: the one in CONTRIBUTING.md, whose law, driver and sensor fly, and examples/plugin."""
 
 import json
 import os
 import re
+import subprocess
 import tomllib
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from processes import python
+from processes import OUTRIDER, PIPES, free_port, outrider, python
+from tabular import words
 
-# on one worker: all is compiled once
-pytestmark = pytest.mark.xdist_group("plugins")
 ROOT = Path(__file__).resolve().parent.parent
+PLUGIN = ROOT / "examples" / "plugin"
 GUIDE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 BLOCKS = dict(
     re.findall(r"```(?:python|toml)\n# (my_package/\S+|pyproject.toml)\n(.*?)```", GUIDE, re.DOTALL)
 )
-"""The files of the package by name."""
+"""The files of the guide's package by name."""
 SCENARIO = """
 duration = 2.0
 [area]
@@ -45,7 +47,18 @@ FLIGHTS = """
 import json, sys
 import numpy as np
 import outrider
+from agents.drivers.dispatch import driver_command, driver_memories, driver_tables
+from agents.drivers.parameters import DriverInputs
+from agents.laws.dispatch import law_memories, law_tables, nominal_command
+from agents.uav_parameters import Target
+from my_package import cautious, zigzag
 from outrider.running.flying import fly
+from sim.engine.briefing import uav_briefing, ugv_briefing
+from sim.models.field import empty_coverage
+from sim.models.motion import NO_MOTION
+from sim.models.vehicles import Motion, clip_norm
+
+scenario = outrider.load_scenario(sys.argv[1])
 
 def flown(*changes):
     return fly(outrider.load_scenario(sys.argv[1], overrides=changes), 3)
@@ -54,9 +67,24 @@ changes = [
     (), ("law.parameters.power=0.2",), ("law.name=linear",), ("ugv.0.driver=waypoints",), ("sensor.model=hill",)
 ]
 flight, summary = flown()
+
+laws = law_tables([uav_briefing(scenario, "uav_0", 0)], [scenario.law])
+seen = empty_coverage(20.0, 20.0, 0.5), 7, Motion(10.5, 10.3, 0.1, 0.0), Target(True, 10.0, 10.0, 0.0, 0.0, 0.0, 0.0)
+memories, at = law_memories(laws, 1), (0, 0)
+law = [nominal_command(laws, memories, at, *seen)]
+rows = laws.uavs[0], laws.parameters.my_package_cautious[0], law_memories(laws, 1).my_package_cautious[at]
+law.append(clip_norm(*cautious.command(*rows, *seen), laws.uavs[0]["max_acceleration"]))
+
+drivers = driver_tables([ugv_briefing(scenario, "ugv_0", 0)], ["zigzag"])
+inputs = DriverInputs(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 3)), 0, None, NO_MOTION)
+memories, own = driver_memories(drivers, 1), Motion(10.0, 10.0, 0.1, 0.0)
+driver = [driver_command(drivers, memories, at, inputs, 7, own)]
+rows = drivers.ugvs[0], drivers.parameters.zigzag[0], memories.zigzag[at]
+driver.append(zigzag.command(*rows, inputs, 7, own))
 print(json.dumps({
     "hashes": [flown(*change)[1].trajectory_sha256 for change in changes],
     "positions": flight.world.position.tolist(),
+    "dispatched": [law, driver],
 }))
 """
 BATCH = """
@@ -71,36 +99,42 @@ print(json.dumps({"positions": loop.state.batch.vehicles["position"][0].tolist()
 """
 
 
-def install(folder: Path, points: str = BLOCKS["pyproject.toml"]) -> Path:
-    """Install the guide's package with its entry points into a folder."""
-    (folder / "my_package").mkdir(parents=True)
-    (folder / "my_package" / "__init__.py").touch()
-    for name, text in BLOCKS.items():
-        if name != "pyproject.toml":
-            (folder / name).write_text(text, encoding="utf-8")
-    info = folder / "my_package-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(
-        "Metadata-Version: 2.1\nName: my-package\nVersion: 1.0\n", "utf-8"
-    )
-    groups = tomllib.loads(points)["project"]["entry-points"]
+def install(folder: Path, text: str) -> Path:
+    """Write what `pip install` tells the interpreter about the package of a pyproject.toml."""
+    project = tomllib.loads(text)["project"]
+    name = project.get("name", "my-package")
+    info = folder / f"{name.replace('-', '_')}-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n", "utf-8")
     lines = [
         line
-        for group, named in groups.items()
+        for group, named in project["entry-points"].items()
         for line in (f"[{group}]", *(f"{name} = {where}" for name, where in named.items()))
     ]
     (info / "entry_points.txt").write_text("\n".join(lines), "utf-8")
     return folder
 
 
+def installed_guide(folder: Path, points: str = BLOCKS["pyproject.toml"]) -> Path:
+    """Install the guide's package with its entry points into a folder."""
+    (folder / "my_package").mkdir(parents=True)
+    (folder / "my_package" / "__init__.py").touch()
+    for name, text in BLOCKS.items():
+        if name != "pyproject.toml":
+            (folder / name).write_text(text, encoding="utf-8")
+    return install(folder, points)
+
+
 def with_package(folder: Path, **more: str) -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": os.pathsep.join((str(folder), str(ROOT)))} | more
+    path = os.pathsep.join((str(folder), str(PLUGIN), str(ROOT), os.environ.get("PYTHONPATH", "")))
+    return os.environ | {"PYTHONPATH": path} | more
 
 
 @pytest.fixture(scope="module")
-def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Return a folder with the installed package and a scenario that needs it."""
-    folder = install(tmp_path_factory.mktemp("installed"))
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with both installed packages and a scenario that needs the guide's: all is compiled once."""
+    folder = installed_guide(tmp_path_factory.mktemp("installed"))
+    install(folder, (PLUGIN / "pyproject.toml").read_text(encoding="utf-8"))
     (folder / "plugged.toml").write_text(SCENARIO, encoding="utf-8")
     return folder
 
@@ -123,6 +157,13 @@ def test_law_driver_and_sensor_of_a_package_fly_in_one_process(flights: dict[str
     assert np.abs(np.subtract(flights["positions"], [[10.0, 11.0], [10.0, 10.0]])).min() > 1e-3
 
 
+def test_law_and_driver_are_compiled_into_batches(flights: dict[str, Any]) -> None:
+    for batch, alone in flights["dispatched"]:
+        assert np.abs(batch).max() > 0.01
+        assert batch == pytest.approx(alone)
+
+
+@pytest.mark.long
 def test_they_fly_alike_in_a_batch(package: Path, flights: dict[str, Any]) -> None:
     apart = np.subtract(answer(package, BATCH)["positions"], flights["positions"])
     assert np.abs(apart).max() < 1e-6
@@ -157,26 +198,22 @@ def test_check_knows_them(package: Path) -> None:
     assert all(phrase in line for phrase, line in zip(REFUSED.values(), lines, strict=True)), lines
 
 
-@pytest.mark.parametrize(
-    ("points", "phrase"),
-    [
-        ({"outrider.laws": {"gone": "my_package.rows:GONE"}}, "outrider.laws: 'gone' of my-package is ignored: module"),
-        ({"outrider.laws": {"cone": "my_package.rows:CONE"}}, "is ignored: my_package.rows:CONE is not a LawRow"),
-    ],
-    ids=["nothing there", "another kind"],
-)  # fmt: skip
-def test_an_entry_point_that_names_no_row_is_ignored(tmp_path, points, phrase) -> None:
-    group, named = next(iter(points.items()))
-    ((name, where),) = named.items()
-    text = f'[project.entry-points."{group}"]\n{name} = "{where}"\n'
-    done = python(
-        "import bus.registry", check=False, env=with_package(install(tmp_path / "p", text))
+def test_an_entry_point_that_names_no_row_is_ignored(tmp_path: Path) -> None:
+    text = (
+        '[project.entry-points."outrider.laws"]\n'
+        'gone = "my_package.rows:GONE"\ncone = "my_package.rows:CONE"\n'
     )
-    assert phrase in done.stderr
+    with_points = with_package(installed_guide(tmp_path / "p", text))
+    errors = python("import bus.registry", env=with_points).stderr
+    assert "outrider.laws: 'gone' of my-package is ignored: module" in errors
+    assert "is ignored: my_package.rows:CONE is not a LawRow" in errors
 
 
 def test_compile_cache_depends_on_plugin_files_and_names(tmp_path: Path) -> None:
-    folder, own = install(tmp_path / "installed"), {"OUTRIDER_CACHE": str(tmp_path / "cache")}
+    folder, own = (
+        installed_guide(tmp_path / "installed"),
+        {"OUTRIDER_CACHE": str(tmp_path / "cache")},
+    )
     code = "from sim.compiling.compile import cache_folder; print(cache_folder().name)"
 
     def cache() -> str:
@@ -191,3 +228,52 @@ def test_compile_cache_depends_on_plugin_files_and_names(tmp_path: Path) -> None
     points.write_text(points.read_text("utf-8").split("[outrider.sensors]")[0], "utf-8")
     third, without = cache(), python(code, env=os.environ | own).stdout
     assert len({first, second, third, without}) == 4
+
+
+# The package in examples/plugin
+
+
+def test_its_command_is_listed_and_its_policy_drives(package: Path, command: Any) -> None:
+    env = with_package(package)
+    listed = outrider("--help", env=env).stdout
+    assert "Fly a UAV that hovers over its UGV." in listed
+    assert "Example: outrider hover" in outrider("hover", "--help", env=env).stdout
+    run = words("run escort --in-process --duration 2 --no-files --json")
+    driven = outrider(*run, "--driver", "gain:0.3", env=env, timeout=300.0)
+    assert driven.returncode == 0, driven.stderr
+    plain = json.loads(command(*run).stdout)
+    assert json.loads(driven.stdout)["trajectory_sha256"] != plain["trajectory_sha256"]
+    wrong = outrider(*run, "--driver", "gain:fast", env=env)
+    assert (wrong.returncode, "allowed: gain:0.3" in wrong.stderr) == (2, True)
+    assert command(*run, "--driver", "gain:0.3").returncode == 2
+
+
+@contextmanager
+def process(*arguments: str, env: dict[str, str]) -> Iterator[Any]:
+    with subprocess.Popen([*OUTRIDER, *arguments], **PIPES, env=env) as one:
+        try:
+            yield one
+        finally:
+            one.kill()
+
+
+def test_its_pilot_flies_and_its_sink_records(package: Path, tmp_path: Path) -> None:
+    connect = ("--connect", f"tcp/127.0.0.1:{free_port()}")
+    track = tmp_path / "track.csv"
+    with ExitStack() as stack:
+
+        def join(*arguments: str) -> Any:
+            return stack.enter_context(process(*arguments, env=with_package(package)))
+
+        run = join("simulator", "escort", "--duration", "1", "--listen", connect[1], "--json")
+        recorder = join("record", str(track), "--format", "csv", *connect)
+        assert "waiting for the run" in recorder.stderr.readline()
+        pilots = [join("hover", *connect), join("ugv", *connect)]
+        out, err = run.communicate(timeout=120)
+        assert run.returncode == 0, err
+        assert [pilot.wait(60) for pilot in pilots] == [0, 0]
+        assert recorder.wait(60) == 0
+    assert json.loads(out)["ticks"] == 20
+    rows = [line.split(",") for line in track.read_text(encoding="utf-8").splitlines()]
+    assert rows[0] == ["time", "vehicle", "x", "y"]
+    assert {row[1] for row in rows[1:]} == {"uav_0", "ugv_0"}
