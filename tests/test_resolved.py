@@ -14,7 +14,7 @@ from bus.profiles import PROFILES
 from outrider.running import launch
 from outrider.running.parent import Start
 from outrider.running.resolve import resolve
-from processes import SHORT, launched, outrider
+from processes import SHORT, launched
 from sim.scenario.loading import load_scenario, scenario_names
 from sim.scenario.resolved import as_toml, read_resolved
 from sim.scenario.types import Scenario
@@ -92,12 +92,12 @@ def test_every_vehicle_can_be_changed_at_once() -> None:
         load_scenario("minefield", overrides=["uav=[]", "uav.*.max_speed=0.5"])
 
 
-def test_a_run_leaves_a_file_that_flies_the_same_run_again(tmp_path: Path) -> None:
+def test_a_run_leaves_a_file_that_flies_the_same_run_again(tmp_path: Path, command: Any) -> None:
     out, changes = tmp_path / "first", ("--set", "detections.noise=0.1", "--law", "switching")
     options = ("--duration", "2", "--seed", "5", "--network", "wifi-poor", "--no-picture")
     flown = [
-        outrider("run", "escort", *changes, *options, "--out", str(out), "--json"),
-        outrider("run", str(out / "scenario.toml"), "--in-process", "--no-files", "--json"),
+        command("run", "escort", *changes, *options, "--out", out, "--json"),
+        command("run", out / "scenario.toml", "--in-process", "--no-files", "--json"),
     ]
     hashes = {json.loads(run.stdout)["trajectory_sha256"] for run in flown}
     assert len(hashes) == 1

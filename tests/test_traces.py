@@ -17,7 +17,7 @@ from one_link import OneLink
 from outrider.running import link_assumptions
 from outrider.running.assumptions import assumption_warnings
 from outrider.running.flying import fly
-from processes import outrider, run_json
+from processes import run_json
 from refusals import SMALL, refusal
 from seeded import a_key
 from sim.channel.description import check_link, link_parameters
@@ -290,7 +290,7 @@ def test_recorded_link_declared_fast_enough_is(how: str, tmp_path: Path) -> None
 
 
 def test_a_long_recording_is_inspected_alike_everywhere(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Any
 ) -> None:
     """Ten minutes, without a message from 400 s to 408 s."""
     times = [time for time in range(10, 600_001, 10) if not 400_000 < time < 408_000]
@@ -304,7 +304,7 @@ def test_a_long_recording_is_inspected_alike_everywhere(
         "duration=40.0",
         "certificate.max_measurement_age=2.0",
     )
-    checked = outrider("check", "escort", *(word for one in changes for word in ("--set", one)))
+    checked = command("check", "escort", *(word for one in changes for word in ("--set", one)))
     assert warning in " ".join(checked.stderr.split())
     monkeypatch.setattr(link_assumptions, "_MOST_REPLAYED", 1000)
     (warning,) = assumption_warnings(
@@ -369,7 +369,9 @@ def test_the_secret_shifts_a_recording_too() -> None:
     assert len(ages) == 2
 
 
-def test_recorded_link_flies_alike_and_replays_without_its_file(tmp_path: Path) -> None:
+def test_recorded_link_flies_alike_and_replays_without_its_file(
+    tmp_path: Path, command: Any
+) -> None:
     (tmp_path / "recorded").mkdir()
     (tmp_path / "recorded" / "wifi.csv").write_text(TABLE)
     (tmp_path / "mine.toml").write_text(
@@ -383,7 +385,7 @@ def test_recorded_link_flies_alike_and_replays_without_its_file(tmp_path: Path) 
     assert there["trajectory_sha256"] == here.trajectory_sha256
     assert there["traces"] == {"recorded/wifi.csv": scenario.links.traces[0].sha256}
     (tmp_path / "recorded" / "wifi.csv").unlink()
-    again = outrider("replay", str(tmp_path / "run.mcap"), "--refly", "--json")
+    again = command("replay", tmp_path / "run.mcap", "--refly", "--json")
     assert again.returncode == 0, again.stderr
     assert json.loads(again.stdout)["trajectory_sha256"] == here.trajectory_sha256
 

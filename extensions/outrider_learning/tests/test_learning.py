@@ -22,7 +22,6 @@ from outrider_learning.learned import LearnedPolicy, make_view
 from outrider_learning.mlp import Mlp, load_policy, save_policy
 from outrider_learning.repeat import ActionRepeat
 from outrider_learning.transformation import Transformed
-from processes import loaded_by
 from refusals import refused
 from sim.models.ground import CLEAR
 from sim.scenario.loading import load_scenario
@@ -39,10 +38,6 @@ NOISY = msgspec.structs.replace(load_scenario("escort"), duration=30.0)
 def evaluation(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.syspath_prepend(str(EXAMPLES))
     return importlib.import_module("evaluation")
-
-
-def test_importing_it_imports_no_learning_library() -> None:
-    assert {"torch", "stable_baselines3"}.isdisjoint(loaded_by("outrider_learning.learned"))
 
 
 def test_the_shipped_file_is_small_and_says_how_it_was_made(evaluation: ModuleType) -> None:

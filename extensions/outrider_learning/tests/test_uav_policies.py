@@ -27,12 +27,12 @@ from outrider_learning.stacking import Stack
 from outrider_learning.suite.scoring import evaluate
 from outrider_learning.suite.tasks import TASKS
 from outrider_learning.transformation import Transformed
-from processes import outrider as command
 from refusals import refused
 from sim.engine.briefing import uav_briefing
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Custom, Scenario
 from sim.server.flight import Flight
+from tabular import words
 from worlds import SCENARIOS, SEVERAL, raw
 
 SHIPPED = Path(__file__).parents[3] / "examples" / "policies" / "uav_ppo.npz"
@@ -142,25 +142,12 @@ def test_safety_filter_keeps_sight_around_any_policy(
     assert distances(fly(with_policy(scenario, "policy", "flees:act"), 2)[0]).max() > 4.75
 
 
-@pytest.mark.parametrize("law", ["certified", "policy"])
-def test_processes_and_one_process_fly_the_same_bits(law: str) -> None:
-    own = (
-        "--set",
-        f"custom.uav_policy={NAME}",
-        "--law",
-        law,
-        "--seed",
-        "3",
-        "--duration",
-        "8",
-        "--json",
-    )
-    runs = [command("run", "--no-files", *own, *more) for more in ((), ("--in-process",))]
-    assert [run.returncode for run in runs] == [0, 0], runs[0].stderr
-    one, other = (json.loads(run.stdout) for run in runs)
-    assert one["trajectory_sha256"] == other["trajectory_sha256"]
-    flown = fly(with_policy(msgspec.structs.replace(ESCORT, duration=8.0), law), 3)[1]
-    assert one["trajectory_sha256"] == flown.trajectory_sha256
+def test_processes_and_one_process_fly_the_same_bits(command) -> None:
+    options = words("run --no-files --law certified --seed 3 --duration 5 --json --set")
+    run = command(*options, f"custom.uav_policy={NAME}")
+    assert run.returncode == 0, run.stderr
+    flown = fly(with_policy(msgspec.structs.replace(ESCORT, duration=5.0), "certified"), 3)[1]
+    assert json.loads(run.stdout)["trajectory_sha256"] == flown.trajectory_sha256
 
 
 def test_each_of_several_uavs_has_a_memory_of_its_own() -> None:
@@ -262,12 +249,12 @@ class Mine(Egocentric):
 
 def test_what_cannot_be_saved_with_a_policy_is_refused() -> None:
     env = outrider.vector_env("escort", num_envs=1)
-    for wrong, words in (
+    for wrong, phrase in (
         (Transformed(env, Mine()), "Mine: cannot be saved with a policy"),
         (gymnasium.wrappers.vector.RescaleAction(env, -1.0, 1.0), "RescaleAction: cannot be saved"),
         (outrider.vector_env("escort", num_envs=1, agent="ugv_0"), "agent = 'ugv_0': not a UAV"),
     ):
-        with refused(ValueError, words):
+        with refused(ValueError, phrase):
             observation_recipe(wrong)
 
 

@@ -295,7 +295,9 @@ def test_an_onnx_graph_may_want_a_batch(here: Path, batch: list[Any]) -> None:
 
 
 def test_only_what_is_flown_is_imported() -> None:
-    loaded = loaded_by("outrider.running.user_code, outrider.running.flying")
+    loaded = loaded_by(
+        "outrider.running.user_code, outrider.running.flying, outrider_learning.learned"
+    )
     assert loaded.isdisjoint({*LIBRARIES, "fmpy"})
     assert set(policy_kinds("ugv")) == {"sb3", "torch", "onnx", "fmu"}
     assert set(policy_kinds("uav")) == {"sb3", "npz"}
