@@ -153,11 +153,11 @@ def test_after_an_end_a_world_shows_the_new_episode():
 
 
 def test_worlds_with_hazards_of_their_own_show_them():
-    env = vector_env("minefield", num_envs=2, duration=5.0, render_mode="rgb_array")
+    env = parallel_vector_env("minefield", num_envs=2, duration=5.0, render_mode="rgb_array")
     env.reset(seed=2)
     first, other = env.render()
     assert (first != other).any()
-    again = vector_env("minefield", num_envs=1, duration=5.0, render_mode="rgb_array")
+    again = parallel_vector_env("minefield", num_envs=1, duration=5.0, render_mode="rgb_array")
     again.reset(seed=3)
     assert (again.render()[0] == other).all()
 

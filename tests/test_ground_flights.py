@@ -8,22 +8,23 @@ from flights import flown_in_both
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.running.assumptions import assumption_warnings
 from outrider.running.flying import fly
-from processes import run_json
+from processes import flown_both_ways
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import LinkTable
+from sim.scenario.types import LinkTable, Scenario
+from sim.server.flight import Flight
 from worlds import LOSSY, raw
 
 RADIO = msgspec.structs.replace(LOSSY, delay=0.2)
 
 
-@pytest.mark.parametrize("name", ["minefield", "rubble", "rescue"])
-def test_a_flight_over_hazards_has_one_trajectory(name: str) -> None:
-    """In a run, in the environment, and in a batch whose other worlds have other hazards; without estimator."""
-    scenario = msgspec.structs.replace(
-        raw(load_scenario(name)), duration=30.0, links=LinkTable(radio=RADIO)
-    )
-    _, flight, _ = flown_in_both(scenario, 4)
-    assert flight.world.position[1].tolist() != list(scenario.ugv[0].position)
+def over_hazards(name: str, *changes: str) -> Scenario:
+    """Return a scenario over hazards with a bad radio link, without estimator."""
+    scenario = load_scenario(name, overrides=["duration=30.0", *changes])
+    return msgspec.structs.replace(raw(scenario), links=LinkTable(radio=RADIO))
+
+
+def assert_batch_flies_alike(scenario: Scenario, flight: Flight) -> None:
+    """Fly the scenario with seed 4 in a batch whose other world has other hazards."""
     loop = ClosedLoop(scenario, 2, threads=1)
     loop.begin([5, 4])
     loop.fly()
@@ -33,25 +34,54 @@ def test_a_flight_over_hazards_has_one_trajectory(name: str) -> None:
     assert loop.mission(1) == flight.world.mission
 
 
+@pytest.mark.parametrize("name", ["minefield", "rubble"])
+def test_a_flight_over_hazards_has_one_trajectory(name: str) -> None:
+    scenario = over_hazards(name)
+    _, flight, _ = flown_in_both(scenario, 4)
+    assert flight.world.position[1].tolist() != list(scenario.ugv[0].position)
+
+
+def test_a_batch_over_hazards_flies_as_runs_do() -> None:
+    """The UGV drives over them: a batch with the navigating driver takes a minute to compile."""
+    scenario = over_hazards("minefield", "ugv.0.driver=waypoints")
+    assert_batch_flies_alike(scenario, fly(scenario, 4)[0])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["minefield", "rubble", "rescue"])
+def test_a_batch_navigates_as_runs_do(name: str) -> None:
+    scenario = over_hazards(name)
+    assert_batch_flies_alike(scenario, flown_in_both(scenario, 4)[1])
+
+
 def test_hazards_fly_one_trajectory_over_three_processes() -> None:
-    arguments = ["minefield", "--duration", "15", "--seed", "4", "--set", "links.radio.loss=0.3"]
-    over_the_bus, alone = run_json(*arguments), run_json(*arguments, "--in-process")
-    assert over_the_bus["trajectory_sha256"] == alone["trajectory_sha256"]
+    flown_both_ways("minefield", "duration=10.0", "links.radio.loss=0.3", seed=4)
 
 
+@pytest.mark.parametrize(("profile", "seed"), [("wifi-poor", 0), ("jammed", 1)])
+def test_a_cautious_ugv_enters_no_unknown_tile(profile: str, seed: int) -> None:
+    """Over bad links its commands carry the following stop."""
+    mission = fly(load_scenario("minefield", overrides=[f"links.profile={profile}"]), seed)[
+        1
+    ].mission
+    assert mission is not None
+    assert mission.entered_unknown_tile == 0
+    assert mission.arrived
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("profile", ["wifi", "wifi-poor", "jammed"])
-def test_a_cautious_ugv_enters_no_unknown_tile_over_bad_links(profile: str) -> None:
-    """Its commands carry the following stop."""
-    scenario = load_scenario("minefield", overrides=[f"links.profile={profile}"])
-    for seed in range(3):
-        summary = fly(scenario, seed)[1]
-        assert summary.mission is not None
-        assert summary.mission.entered_unknown_tile == 0
-        assert summary.mission.arrived
+def test_many_cautious_ugvs_enter_no_unknown_tile(profile: str) -> None:
+    loop = ClosedLoop(load_scenario("minefield", overrides=[f"links.profile={profile}"]), 32)
+    loop.begin(range(32))
+    loop.fly()
+    missions = [loop.mission(k) for k in range(32)]
+    assert sum(mission.entered_unknown_tile for mission in missions) == 0
+    assert all(mission.arrived for mission in missions)
 
 
 def test_entering_unknown_tiles_is_counted() -> None:
-    bold = load_scenario("minefield", overrides=["ugv.0.driver=waypoints"])
+    bold = load_scenario("minefield", overrides=["ugv.0.driver=waypoints", "duration=60.0"])
     mission = fly(bold, 1)[1].mission
     assert mission is not None
     assert mission.entered_unknown_tile > 0

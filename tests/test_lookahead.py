@@ -13,15 +13,13 @@ from agents.uav_parameters import Target
 from bus.messages.scenario import Law
 from bus.messages.vehicle import UavObservation
 from flights import DESIRED, briefing_of, escort, flown_law, uav_sees
-from outrider.envs.closed_loop import ClosedLoop
+from outrider.running.flying import fly
 from sim.models.field import accumulate, coverage_error, empty_coverage
 from sim.models.vehicles import Motion, step_vehicle
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Area
+from sim.server.flight import Flight
 from worlds import SCENARIOS
-
-# on one worker: compiling takes a minute, once
-pytestmark = pytest.mark.xdist_group("many worlds")
 
 HERE = Motion(17.0, 16.0, 0.2, -0.3)
 UGV = Target(True, 15.0, 15.0, 0.12, 0.08, 0.0, 0.0)  # and nothing is uncertain
@@ -116,17 +114,17 @@ def test_reversing_ugv_is_expected_nearer() -> None:
 
 def test_the_true_velocity_of_the_ugv_changes_no_command() -> None:
     """Detections and the map stay as they are: only the true velocity is changed, at a decision."""
+    scenario = msgspec.structs.replace(SCENARIOS["lookahead"], duration=6.05)
     commands = []
     for factor in (1.0, -3.0):
-        loop = ClosedLoop(SCENARIOS["lookahead"], 2, error=True, end_on_sight_lost=False)
-        loop.begin([5, 11])
-        loop.fly(120)
-        for name in ("velocity", "reference_velocity"):
-            loop.state.batch.vehicles[name][:, 1] *= factor
-        loop.fly(1)
-        commands.append(loop.state.batch.vehicles["outgoing"][:, 0].copy())
-        assert (np.hypot(*loop.state.batch.vehicles["velocity"][0, 1]) > 0.01).all()
-        loop.close()
+
+        def change(flight: Flight, factor: float = factor) -> None:
+            if flight.world.tick == 120:
+                flight.world.velocity[1] *= factor
+
+        flight, _ = fly(scenario, 5, on_tick=change)
+        assert np.hypot(*flight.recorder.states[120, 1, 2:4]) > 0.01
+        commands.append(flight.recorder.states[-2, 0, 4:6].copy())
     assert np.array_equal(commands[0], commands[1])
     assert np.abs(commands[0]).sum() > 0.01
 
@@ -140,14 +138,10 @@ def test_lookahead_horizon_beats_the_logarithmic_law() -> None:
         "one step": Law(name="lookahead", parameters={"horizon": 0.5}),
         "at random": Law(name="lookahead", parameters={"candidates": 1}),
     }.items():
-        loop = ClosedLoop(msgspec.structs.replace(scenario, law=law), 2, error=True)
-        loop.begin([3, 4])
-        loop.fly()
-        found = loop.metrics("uav_0")
-        assert not found["visibility_violations"].any(), name
-        assert not found["certified_while_lost"].any(), name
-        means[name] = found["mean_error"].mean()
-        loop.close()
+        _, summary = fly(msgspec.structs.replace(scenario, law=law), 3)
+        assert summary.visibility_violations == 0, name
+        assert summary.certified_while_lost == 0, name
+        means[name] = summary.mean_error
     assert means["lookahead"] < 0.8 * means["logarithmic"], means
     assert means["lookahead"] < 0.9 * means["one step"]
     assert means["lookahead"] < 0.9 * means["at random"]

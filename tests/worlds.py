@@ -5,6 +5,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import pytest
 
 from bus.messages.scenario import Estimator, Law, ScriptStep
 from bus.profiles import PROFILES
@@ -123,6 +124,9 @@ SCENARIOS: dict[str, Scenario] = {
     "several": SEVERAL,
 }
 
+FLOWN = [pytest.param(n, marks=pytest.mark.long) if n == "lookahead" else n for n in SCENARIOS]
+"""Names of all scenarios; batches with `lookahead` take a minute to compile."""
+
 SCENARIO = SCENARIOS["certified"]
 
 SEEN = RewardWeights(uncovered=0.5, seen=2.0, effort=0.3)
@@ -167,7 +171,6 @@ CASES: dict[str, tuple[Scenario, str, dict[str, Any]]] = {
     "patch": (SCENARIO, "uav_0", {"coverage_patch": (7, 0.6)}),
     "late": (LATE_DETECTIONS, "uav_0", {}),
     "evade": (raw(SCENARIOS["evade"]), "uav_0", {}),
-    "lookahead": (raw(SCENARIOS["lookahead"]), "ugv_0", {"duration": 5.0}),
     "evade over a network": (raw(SCENARIOS["network"]), "uav_0", {"duration": 10.0}),
     "no end": (SCENARIO, "uav_0", {"end_on_sight_lost": False, "duration": 3.0}),
 }
