@@ -141,6 +141,7 @@ ON_BOARD = {
     "sim.models.ground",
     "sim.models.hazards",
     "sim.models.motion",
+    "sim.models.polygons",
     "sim.models.randomness",
     "sim.models.safety",
     "sim.models.sensor",
