@@ -137,6 +137,7 @@ def test_the_pilots_key_does_not_tell_the_runs_seed() -> None:
 
 ON_BOARD = {
     "sim.models.vehicles",
+    "sim.models.camera",
     "sim.models.field",
     "sim.models.grid",
     "sim.models.ground",
