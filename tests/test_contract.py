@@ -137,6 +137,7 @@ def test_the_pilots_key_does_not_tell_the_runs_seed() -> None:
 
 ON_BOARD = {
     "sim.models.vehicles",
+    "sim.models.buildings",
     "sim.models.camera",
     "sim.models.field",
     "sim.models.grid",
@@ -150,6 +151,7 @@ ON_BOARD = {
     "sim.models.sensors",
     "sim.models.sensors.hill",
     "sim.models.sensors.plateau",
+    "sim.models.shadows",
     "sim.compiling.compile",
     "sim.compiling.dispatch",
     "sim.compiling.lanes",
