@@ -167,7 +167,7 @@ def _accumulate(grid: FloatArray, positions: FloatArray, occlusion: Occlusion | 
 @contextmanager
 def _accumulation(occlusion: Occlusion | None) -> Iterator[tuple[Callable[[], object], int]]:
     grid = random_coverage(1)[0]
-    positions = np.random.default_rng(1).uniform(5.0, 35.0, (1000, 2))
+    positions = np.random.default_rng(1).uniform(5.0, 35.0, (_PASSES, 2))
     yield lambda: _accumulate(grid, positions, occlusion), len(positions)
 
 

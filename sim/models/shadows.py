@@ -24,7 +24,7 @@ _LARGEST_FACTOR = 1e10
 """Bound of F. Scaled by it, every wall farther than 1e-9 m from the camera is beyond a range of 10 m."""
 
 Corner = tuple[float, float]
-"""Corner of an outline, x before y [m]."""
+"""Corner of an outline in units of cells: column before row, counted from the center of the disc's first row."""
 
 
 class Occlusion(NamedTuple):
@@ -41,12 +41,8 @@ class Occlusion(NamedTuple):
 class Shadow(NamedTuple):
     """Winding numbers of the outlines of all hidden sets, at the cells of a sensor's disc."""
 
-    first_row: int
-    """First row of the disc."""
     chords: IntArray
     """Cells of each row, as from `disc_chords`. Shape (2, rows)."""
-    cell: float
-    """Width of a cell [m]."""
     winding: npt.NDArray[np.int16]
     """Twice the winding number at each cell of a chord: positive if the cell is hidden. While outlines are added, its
     change from the cell to the left. The first cell of a chord is at `LANES`. Shape (rows, columns + 2 LANES).
@@ -65,17 +61,15 @@ def _add_side(shadow: Shadow, u: Corner, v: Corner, turn: int) -> None:
 
     Args:
         shadow: The shadow; changed.
-        u: Start of the side and, on a ray, its end near the camera [m].
-        v: End of the side [m].
+        u: Start of the side and, on a ray, its end near the camera.
+        v: End of the side.
         turn: 1; -1 for a side from v to u.
     """
-    per_cell, rows, bottom = 1.0 / shadow.cell, shadow.dark.size, shadow.first_row + 0.5
-    u_row, v_row = u[1] * per_cell - bottom, v[1] * per_cell - bottom
+    (u_column, u_row), (v_column, v_row), rows = u, v, float(shadow.dark.size)
     low, high = min(u_row, v_row), max(u_row, v_row)
-    begin, end = int(max(np.ceil(low), 0.0)), int(min(np.floor(high) + 1.0, float(rows)))
+    begin, end = int(max(np.ceil(low), 0.0)), int(min(np.floor(high) + 1.0, rows))
     if end <= begin or low == high:
         return
-    u_column, v_column = u[0] * per_cell - 0.5, v[0] * per_cell - 0.5
     slope = (v_column - u_column) / (v_row - u_row)
     left = (turn > 0) == (v_row < u_row)
     for n in range(begin, end):
@@ -89,26 +83,42 @@ def _add_side(shadow: Shadow, u: Corner, v: Corner, turn: int) -> None:
 
 
 @compiled
-def _add_building(shadow: Shadow, occlusion: Occlusion, k: int, x: float, y: float) -> None:
+def _scaled(p: Corner, factor: float, a: Corner) -> Corner:
+    """Return a point, scaled about p."""
+    return p[0] + factor * (a[0] - p[0]), p[1] + factor * (a[1] - p[1])
+
+
+@compiled
+def _is_back(p: Corner, a: Corner, b: Corner) -> bool:
+    """Return whether a ray from p leaves a counterclockwise polygon through its edge from a to b."""
+    return (a[0] - p[0]) * (b[1] - p[1]) > (a[1] - p[1]) * (b[0] - p[0])
+
+
+@compiled
+def _add_building(
+    shadow: Shadow, occlusion: Occlusion, k: int, camera: Corner, per_cell: float, bottom: float
+) -> None:
     """Add the outline of the set that a building hides.
 
     Args:
         shadow: The shadow; changed.
         occlusion: The buildings.
         k: Index of the building.
-        x, y: Position of the camera [m].
+        camera: Position of the camera.
+        per_cell: Number of cells per length [1/m].
+        bottom: Row of the center of the disc's first row, from the edge of the area.
     """
     row, corners, z = occlusion.buildings[k], occlusion.corners, occlusion.z
     height = row["height"]
     factor = min(z / (z - height), _LARGEST_FACTOR) if height < z else _LARGEST_FACTOR
     first, end = row["first"], row["first"] + row["corners"]
-    a, b = (corners[end - 2, 0], corners[end - 2, 1]), (corners[end - 1, 0], corners[end - 1, 1])
-    far_b = x + factor * (b[0] - x), y + factor * (b[1] - y)
-    was_back = (a[0] - x) * (b[1] - y) > (a[1] - y) * (b[0] - x)
+    a = corners[end - 2, 0] * per_cell - 0.5, corners[end - 2, 1] * per_cell - bottom
+    b = corners[end - 1, 0] * per_cell - 0.5, corners[end - 1, 1] * per_cell - bottom
+    was_back, far_b = _is_back(camera, a, b), _scaled(camera, factor, b)
     for n in range(first, end):
-        a, far_a, b = b, far_b, (corners[n, 0], corners[n, 1])
-        far_b = x + factor * (b[0] - x), y + factor * (b[1] - y)
-        back = (a[0] - x) * (b[1] - y) > (a[1] - y) * (b[0] - x)
+        a, far_a = b, far_b
+        b = corners[n, 0] * per_cell - 0.5, corners[n, 1] * per_cell - bottom
+        back, far_b = _is_back(camera, a, b), _scaled(camera, factor, b)
         if back != was_back:
             _add_side(shadow, a, far_a, 1 if back else -1)
         if back:
@@ -143,17 +153,17 @@ def cast_shadow(
     for n in range(rows):
         columns = max(columns, chords[1, n] - chords[0, n])
     shadow = Shadow(
-        first_row,
         chords,
-        cell,
         np.zeros((rows, columns + 2 * LANES), dtype=np.int16),
         np.zeros(rows, dtype=np.uint8),
     )
+    per_cell, bottom = 1.0 / cell, first_row + 0.5
+    camera = x * per_cell - 0.5, y * per_cell - bottom
     for k in range(occlusion.buildings.shape[0]):
         row = occlusion.buildings[k]
         d_x, d_y, far = row["x"] - x, row["y"] - y, row["reach"] + radius
         if d_x * d_x + d_y * d_y <= far * far:
-            _add_building(shadow, occlusion, k, x, y)
+            _add_building(shadow, occlusion, k, camera, per_cell, bottom)
     for n in range(rows):
         if shadow.dark[n]:
             winding, row_winding = 0, shadow.winding[n]
