@@ -22,8 +22,10 @@ import numpy.typing as npt
 import pytest
 
 from outrider import parallel_env, vector_env
+from sim.models.buildings import building_table
 from sim.models.field import accumulate, coverage_error, coverage_gradient
 from sim.models.sensor import SensorParameters
+from sim.models.shadows import Occlusion
 from sim.scenario.loading import load_scenario
 from sim.world import World
 
@@ -141,6 +143,47 @@ def test_world_step(benchmark: Any, side: Callable[[], Work]) -> None:
 @beside(environment_step, engine_step)
 def test_env_step(benchmark: Any, side: Callable[[], Work]) -> None:
     """`parallel_env.step` beside `World.step`."""
+    time_steps(benchmark, side())
+
+
+def town() -> Occlusion:
+    """Return 30 blocks with sides of 4 m to 6.5 m and heights of 3 m to 8 m, for a camera at 10 m."""
+    rng, blocks = np.random.default_rng(0), []
+    for k in range(30):
+        x, y = 0.5 + 8.0 * (k % 5), 0.5 + 6.6 * (k // 5)
+        width, depth, height = rng.uniform((4.0, 4.0, 3.0), (6.5, 5.5, 8.0)).tolist()
+        corners = ((x, y), (x + width, y), (x + width, y + depth), (x, y + depth))
+        blocks.append((corners, height))
+    return Occlusion(*building_table(blocks), 10.0)
+
+
+@numba.njit(error_model="numpy")
+def _accumulate(grid: FloatArray, positions: FloatArray, occlusion: Occlusion | None) -> None:
+    """Apply (3) from each position."""
+    for k in range(len(positions)):
+        accumulate(grid, positions[k, 0], positions[k, 1], _SENSOR, 0.25, 0.05, occlusion)
+
+
+@contextmanager
+def _accumulation(occlusion: Occlusion | None) -> Iterator[tuple[Callable[[], object], int]]:
+    grid = random_coverage(1)[0]
+    positions = np.random.default_rng(1).uniform(5.0, 35.0, (_PASSES, 2))
+    yield lambda: _accumulate(grid, positions, occlusion), len(positions)
+
+
+def accumulation_in_town() -> Work:
+    """Return the accumulation of coverage among 30 buildings."""
+    return _accumulation(town())
+
+
+def accumulation_in_the_open() -> Work:
+    """Return the accumulation of coverage without buildings."""
+    return _accumulation(None)
+
+
+@beside(accumulation_in_town, accumulation_in_the_open)
+def test_buildings(benchmark: Any, side: Callable[[], Work]) -> None:
+    """`accumulate` among buildings beside the same without buildings."""
     time_steps(benchmark, side())
 
 

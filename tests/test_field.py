@@ -14,6 +14,7 @@ from bus.registry import SENSORS
 from properties import PROPERTY
 from reference_field import FloatGrid
 from sim.models.field import (
+    Demand,
     accumulate,
     accumulate_with_gain,
     cover,
@@ -269,17 +270,17 @@ def test_gain_of_a_sensing_step_is_the_decrease_of_the_error(sensor, place):
     (p_x, p_y), (g_x, g_y), dt = place, (place[0] + 1.5, place[1] - 2.0), 0.05
     plain, seen, parameters = ground.copy(), ground.copy(), SensorParameters(sensor, 1.0, R)
     accumulate(plain, p_x, p_y, parameters, 0.25, dt)
-    rest = (p_x, p_y, g_x, g_y, R_O, DESIRED, parameters, 0.25)
-    gain = accumulate_with_gain(seen, *rest, dt)
+    demand = Demand(g_x, g_y, R_O, DESIRED)
+    gain = accumulate_with_gain(seen, p_x, p_y, demand, parameters, 0.25, dt)
     assert seen.tobytes() == plain.tobytes()
     before, after = (coverage_error(c, g_x, g_y, R_O, DESIRED, 0.25) for c in (ground, seen))
     assert gain == pytest.approx(before - after, rel=1e-9)
-    rate = error_decrease(ground, *rest)
+    rate = error_decrease(ground, p_x, p_y, *demand, parameters, 0.25)
     # the penalty's second derivative over one tick
     assert 0.95 * rate * dt <= gain < rate * dt
 
 
 def test_covered_ground_gives_no_gain() -> None:
     ground = np.full((40, 40), DESIRED)
-    rest = (R_O, DESIRED, SensorParameters(0, 1.0, R), 0.25, 0.05)
-    assert accumulate_with_gain(ground, 5.0, 5.0, 5.0, 5.0, *rest) == 0.0
+    rest = (Demand(5.0, 5.0, R_O, DESIRED), SensorParameters(0, 1.0, R), 0.25, 0.05)
+    assert accumulate_with_gain(ground, 5.0, 5.0, *rest) == 0.0

@@ -3,7 +3,7 @@
 import math
 
 from sim.compiling.compile import FloatArray, compiled
-from sim.models.field import disc_chords
+from sim.models.grid import disc_chords
 from sim.models.randomness import NEAREST_POINT, Key, uniform
 
 NEAREST_TIE = 1e-9

@@ -13,7 +13,7 @@ from sim.engine.ground_tick import drive_on, perceive_ground, store_positions
 from sim.engine.mission import record_mission
 from sim.engine.world_state import BatchState, BatchTables, Vehicle, WorldParameters
 from sim.models.detection import detect
-from sim.models.field import accumulate, accumulate_with_gain, coverage_error
+from sim.models.field import Demand, accumulate, accumulate_with_gain, coverage_error
 from sim.models.inner_loop import step_error
 from sim.models.motion import NO_MOTION, follow_on, motion_command, waited
 from sim.models.randomness import DETECTION_CHANCE, DETECTION_NOISE, DISTURBANCE, key_of
@@ -84,10 +84,7 @@ def _look(numbers: WorldParameters, state: BatchState, escorts: IntArray, world:
                 coverage,
                 uav.position[0],
                 uav.position[1],
-                ugv.position[0],
-                ugv.position[1],
-                numbers.r_o,
-                numbers.desired,
+                Demand(ugv.position[0], ugv.position[1], numbers.r_o, numbers.desired),
                 numbers.sensor,
                 numbers.cell,
                 numbers.dt,

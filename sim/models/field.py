@@ -5,13 +5,27 @@ the rows that a disc meets and, in each, the chord. Sums use a row buffer and a 
 depend neither on the caller nor on the compiler's loop order.
 """
 
-import math
+from typing import NamedTuple
 
 import numpy as np
 
-from sim.compiling.compile import FloatArray, IntArray, compiled
+from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.lanes import LANES, lane_sum, widened
+from sim.models.grid import disc_chords
 from sim.models.sensor import SensorParameters, sensor_quality, sensor_slope
+from sim.models.shadows import Occlusion, cast_shadow
+
+
+class Demand(NamedTuple):
+    """Demand for coverage around a UGV: weight and desired value of the coverage error (4)."""
+
+    p_x: float
+    p_y: float
+    """Position of the UGV [m]."""
+    r_o: float
+    """Radius of the density (9) [m]."""
+    desired: float
+    """C*."""
 
 
 @compiled
@@ -53,48 +67,6 @@ def density(rho2: float, r_o: float) -> float:
 
 
 @compiled
-def chord(center: float, half: float, cell: float, count: int) -> tuple[int, int]:
-    """Return the range of cells with centers within `half` of `center`: first, and end; at most `count` cells."""
-    first = math.ceil((center - half) / cell - 0.5)
-    last = math.floor((center + half) / cell - 0.5)
-    return max(0, int(first)), min(count, int(last) + 1)
-
-
-@compiled
-def half_chord(radius: float, offset: float) -> float:
-    """Return half the length [m] of a circle's chord at this distance [m] from its center."""
-    return math.sqrt(max(0.0, radius * radius - offset * offset))
-
-
-@compiled
-def disc_chords(
-    p_x: float, p_y: float, radius: float, cell: float, rows: int, columns: int
-) -> tuple[int, IntArray]:
-    """Return the cells with centers in a disc.
-
-    All chords are computed at once, vectorized: row by row, each would make the processor wait for a root and a
-    quotient before the length of its loop is known.
-
-    Args:
-        p_x, p_y: Center of the disc [m].
-        radius: Radius of the disc [m].
-        cell: Width of a cell [m].
-        rows, columns: Size of the grid.
-
-    Returns:
-        The first row that the disc meets; and for each row from there on, its first column and the one after the last,
-        shape (2, rows).
-    """
-    first_row, end_row = chord(p_y, radius, cell, rows)
-    met = max(0, end_row - first_row)
-    chords = np.empty((2, met), dtype=np.int64)
-    for n in range(met):
-        offset = (first_row + n + 0.5) * cell - p_y
-        chords[0, n], chords[1, n] = chord(p_x, half_chord(radius, offset), cell, columns)
-    return first_row, chords
-
-
-@compiled
 def _in_registers(sensor: SensorParameters) -> SensorParameters:
     """Return a copy of the parameters, so that a loop that writes does not reload them for each cell."""
     return SensorParameters(sensor.model, sensor.peak, sensor.reach)
@@ -108,6 +80,7 @@ def accumulate(
     sensor: SensorParameters,
     cell: float,
     duration: float,
+    occlusion: Occlusion | None = None,
 ) -> None:
     r"""Add the coverage by a sensor at one position, Klodt 2015, eq. (3).
 
@@ -119,30 +92,37 @@ def accumulate(
         sensor: The sensor.
         cell: Width of a cell [m].
         duration: Time at this position [s].
+        occlusion: Buildings; the cells that they hide gain nothing. None: no buildings, and nothing is compiled for
+            them.
     """
     (rows, columns), seeing = coverage.shape, _in_registers(sensor)
     first_row, chords = disc_chords(p_x, p_y, seeing.reach, cell, rows, columns)
+    if occlusion is not None:
+        shadow = cast_shadow(occlusion, p_x, p_y, seeing.reach, cell, first_row, chords)
     for n in range(chords.shape[1]):
         j, first, end = first_row + n, chords[0, n], chords[1, n]
         d_y = (j + 0.5) * cell - p_y
         cells = coverage[j, first:end]
+        if occlusion is not None:
+            winding = shadow.winding[n, LANES:]
         for i in range(cells.size):
             d_x = (first + i + 0.5) * cell - p_x
-            cells[i] += sensor_quality(seeing, d_x * d_x + d_y * d_y) * duration
+            gain = sensor_quality(seeing, d_x * d_x + d_y * d_y) * duration
+            if occlusion is not None:
+                gain = gain if winding[i] <= 0 else 0.0
+            cells[i] += gain
 
 
 @compiled
 def accumulate_with_gain(
     coverage: FloatArray,
-    p_ax: float,
-    p_ay: float,
-    p_gx: float,
-    p_gy: float,
-    r_o: float,
-    desired: float,
+    p_x: float,
+    p_y: float,
+    demand: Demand,
     sensor: SensorParameters,
     cell: float,
     duration: float,
+    occlusion: Occlusion | None = None,
 ) -> float:
     r"""Update as `accumulate`, and return the decrease of e(t) of (4) for a fixed UGV.
 
@@ -153,31 +133,37 @@ def accumulate_with_gain(
 
     Args:
         coverage: C on the grid; changed, bit for bit as by `accumulate`.
-        p_ax, p_ay: Position of the UAV [m].
-        p_gx, p_gy: Position of the UGV [m].
-        r_o, desired, sensor, cell: As in `coverage_gradient`.
-        duration: Time at this position [s].
+        p_x, p_y, sensor, cell, duration, occlusion: As in `accumulate`.
+        demand: Demand for coverage around the UGV.
 
     Returns:
         The decrease of e [m²]; never negative.
     """
     (rows, columns), seeing = coverage.shape, _in_registers(sensor)
+    r_o, desired = demand.r_o, demand.desired
     terms = np.empty(columns + LANES)
     total = 0.0
-    first_row, chords = disc_chords(p_ax, p_ay, seeing.reach, cell, rows, columns)
+    first_row, chords = disc_chords(p_x, p_y, seeing.reach, cell, rows, columns)
+    if occlusion is not None:
+        shadow = cast_shadow(occlusion, p_x, p_y, seeing.reach, cell, first_row, chords)
     for n in range(chords.shape[1]):
         j, first, end = first_row + n, chords[0, n], chords[1, n]
         y = (j + 0.5) * cell
-        d_y, g_y = y - p_ay, y - p_gy
+        d_y, g_y = y - p_y, y - demand.p_y
         if end <= first:
             continue
         start, stop = widened(first, end, columns)
         cells = coverage[j, start:stop]
+        if occlusion is not None:
+            winding = shadow.winding[n, LANES + start - first :]
         for i in range(cells.size):
             x = (start + i + 0.5) * cell
-            d_x, g_x = x - p_ax, x - p_gx
+            d_x, g_x = x - p_x, x - demand.p_x
             before = cells[i]
-            after = before + sensor_quality(seeing, d_x * d_x + d_y * d_y) * duration
+            gain = sensor_quality(seeing, d_x * d_x + d_y * d_y) * duration
+            if occlusion is not None:
+                gain = gain if winding[i] <= 0 else 0.0
+            after = before + gain
             cells[i] = after if first <= start + i < end else before
             fall = penalty(desired - before) - penalty(desired - after)
             terms[i] = fall * density(g_x * g_x + g_y * g_y, r_o)
@@ -232,6 +218,7 @@ def coverage_gradient(
     desired: float,
     sensor: SensorParameters,
     cell: float,
+    occlusion: Occlusion | None = None,
 ) -> tuple[float, float, float]:
     r"""Return the direction of the most uncovered ground, with k = 1, Klodt 2015, eq. (6).
 
@@ -243,10 +230,8 @@ def coverage_gradient(
         coverage: C on the grid.
         p_ax, p_ay: Position of the UAV [m].
         p_gx, p_gy: Position of the UGV, or its estimate [m].
-        r_o: Radius of the density (9) [m].
-        desired: C*.
-        sensor: The sensor.
-        cell: Width of a cell [m].
+        r_o, desired: Radius of the density (9) [m], and C*.
+        sensor, cell, occlusion: As in `accumulate`.
 
     Returns:
         u_cov, x and y, and the size of its integrand (r times the sum of the magnitudes), the scale for "u_cov = 0".
@@ -256,6 +241,8 @@ def coverage_gradient(
     weights = np.empty(columns + LANES)
     sum_x, sum_y, size = 0.0, 0.0, 0.0
     first_row, chords = disc_chords(p_ax, p_ay, seeing.reach, cell, rows, columns)
+    if occlusion is not None:
+        shadow = cast_shadow(occlusion, p_ax, p_ay, seeing.reach, cell, first_row, chords)
     for n in range(chords.shape[1]):
         j, first, end = first_row + n, chords[0, n], chords[1, n]
         y = (j + 0.5) * cell
@@ -264,11 +251,15 @@ def coverage_gradient(
             continue
         start, stop = widened(first, end, columns)
         cells = coverage[j, start:stop]
+        if occlusion is not None:
+            winding = shadow.winding[n, LANES + start - first :]
         for i in range(cells.size):
             x = (start + i + 0.5) * cell
             d_x, g_x = p_ax - x, p_gx - x
             slope = 2.0 * sensor_slope(seeing, d_x * d_x + d_y * d_y)
             weight = penalty_slope(desired - cells[i]) * slope * density(g_x * g_x + g_y * g_y, r_o)
+            if occlusion is not None:
+                weight = weight if winding[i] <= 0 else 0.0
             weights[i] = weight
             pulls[i] = weight * d_x
         row_weight = lane_sum(weights, first - start, end - first)

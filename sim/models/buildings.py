@@ -1,0 +1,170 @@
+"""Buildings: prisms over polygons, which hide what is behind them and stop a UAV that flies lower than they are high.
+
+A building is the closed set of the points above its footprint, a simple polygon, from the ground up to its height. All
+functions work on tables of `BuildingRow`; no camera is inside a building.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from sim.compiling.compile import FloatArray, compiled
+from sim.compiling.records import RecordArray, records
+from sim.models.polygons import distance_to_polygon, segment_distance2, way_to_polygon
+from sim.models.vehicles import norm
+
+_MARGIN = 1e-9
+"""Excess of a bounding circle's radius [m]. It exceeds the rounding error in areas of up to 10 km."""
+
+
+class BuildingRow(NamedTuple):
+    """Building, a row of a table."""
+
+    x: float
+    y: float
+    """Center of a circle around the footprint [m]."""
+    reach: float
+    """Radius of this circle [m]."""
+    height: float
+    """Height of the roof above the ground [m]."""
+    first: int
+    """Row of its first corner in the table of corners, where its corners are in counterclockwise order."""
+    corners: int
+    """Number of its corners."""
+
+
+def building_table(
+    buildings: Sequence[tuple[Sequence[tuple[float, float]], float]],
+) -> tuple[RecordArray, FloatArray]:
+    """Return the tables of buildings.
+
+    Args:
+        buildings: For each building the corners of its footprint [m], in either orientation, and its height [m].
+
+    Returns:
+        The table of `BuildingRow`, and the corners of all footprints [m], shape (corners, 2).
+
+    Raises:
+        ValueError: If a footprint has no area, or a height is not positive and finite.
+    """
+    rows: list[BuildingRow] = []
+    corners, first = [np.zeros((0, 2))], 0
+    for k, (polygon, height) in enumerate(buildings):
+        footprint = np.array(polygon, dtype=np.float64).reshape(-1, 2)
+        area = _signed_area(footprint)
+        if not abs(area) > 0.0:
+            raise ValueError(f"buildings[{k}]: no area; give the corners of a simple polygon")
+        if not 0.0 < height < math.inf:
+            raise ValueError(f"buildings[{k}].height = {height}: not positive and finite")
+        footprint = footprint if area > 0.0 else footprint[::-1]
+        x, y = (0.5 * (footprint.min(axis=0) + footprint.max(axis=0))).tolist()
+        reach = float(np.hypot(footprint[:, 0] - x, footprint[:, 1] - y).max()) + _MARGIN
+        rows.append(BuildingRow(x, y, reach, height, first, len(footprint)))
+        corners.append(footprint)
+        first += len(footprint)
+    return records(BuildingRow, rows), np.concatenate(corners)
+
+
+def _signed_area(footprint: FloatArray) -> float:
+    """Return the area of a polygon [m²]; negative if its corners are in clockwise order. Shape (corners, 2)."""
+    if len(footprint) == 0:
+        return 0.0
+    x, y = (footprint - footprint[0]).T
+    return float(0.5 * (x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
+
+
+@compiled
+def _may_meet(
+    buildings: RecordArray, k: int, start: tuple[float, float], end: tuple[float, float]
+) -> bool:
+    """Return False only if the segment from start to end misses a building's bounding circle."""
+    row = buildings[k]
+    away2 = segment_distance2(start[0], start[1], end[0], end[1], row["x"], row["y"])
+    return bool(away2 <= row["reach"] * row["reach"])
+
+
+@compiled
+def line_of_sight(
+    buildings: RecordArray,
+    corners: FloatArray,
+    x: float,
+    y: float,
+    z: float,
+    q_x: float,
+    q_y: float,
+    h: float,
+) -> bool:
+    """Return whether a camera sees a point: the segment between them touches no building.
+
+    A building of height H hides the point if the part of the segment below H touches its footprint. A building with H
+    <= h hides nothing: a point on a roof is visible from above. A point on the footprint, and lower than the roof, is
+    hidden.
+
+    Args:
+        buildings, corners: Tables as from `building_table`.
+        x, y, z: Position of the camera, and its height above the ground [m]; outside of all buildings.
+        q_x, q_y, h: Position of the point, and its height above the ground, at most z [m].
+    """
+    for k in range(buildings.shape[0]):
+        row = buildings[k]
+        height = row["height"]
+        if height <= h:
+            continue
+        share = 1.0 if height >= z else (height - h) / (z - h)
+        point, end = (q_x, q_y), (q_x + share * (x - q_x), q_y + share * (y - q_y))
+        if _may_meet(buildings, k, point, end):
+            way = way_to_polygon(corners, row["first"], row["corners"], point, end)
+            if way < math.inf:
+                return False
+    return True
+
+
+@compiled
+def building_distance(
+    buildings: RecordArray, corners: FloatArray, x: float, y: float, lowest_height: float
+) -> float:
+    """Return the distance of a point from the nearest building that is higher than `lowest_height` [m].
+
+    Args:
+        buildings, corners: Tables as from `building_table`.
+        x, y: The point [m].
+        lowest_height: Lower buildings, and buildings of this height, do not count [m].
+
+    Returns:
+        The distance [m]; 0 inside and on a wall; infinite without such a building.
+    """
+    nearest = math.inf
+    for k in range(buildings.shape[0]):
+        row = buildings[k]
+        near = norm(x - row["x"], y - row["y"]) - row["reach"] < nearest
+        if near and row["height"] > lowest_height:
+            distance = distance_to_polygon(corners, row["first"], row["corners"], x, y)
+            nearest = min(nearest, distance)
+    return nearest
+
+
+@compiled
+def path_meets_building(
+    buildings: RecordArray,
+    corners: FloatArray,
+    start: tuple[float, float],
+    end: tuple[float, float],
+    lowest_height: float,
+) -> float:
+    """Return the share of the segment from start to end at which it first touches a building.
+
+    Args:
+        buildings, corners, lowest_height: As in `building_distance`.
+        start, end: Points [m].
+
+    Returns:
+        0: at its start, to 1: at its end; infinite: never.
+    """
+    first = math.inf
+    for k in range(buildings.shape[0]):
+        row = buildings[k]
+        if row["height"] > lowest_height and _may_meet(buildings, k, start, end):
+            first = min(first, way_to_polygon(corners, row["first"], row["corners"], start, end))
+    return first

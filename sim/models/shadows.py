@@ -1,0 +1,198 @@
+r"""Ground that buildings hide from a downward camera, cell by cell.
+
+A building of height H hides a point q of the ground if the segment from q towards the camera p touches the footprint B
+within the share H/z of the way. The hidden points are thus those of B, scaled about p by the factors from 1 to
+$F = z / (z - H)$; F is infinite for a camera that is not above the roof.
+
+Outline of this set: a ray from p enters B through a front edge, at r_1, and leaves it through a back edge, at r_2; the
+points from r_1 to F r_2 are hidden. The curve that follows front edges, follows back edges scaled by F, and joins them
+along rays winds once around each such stretch. Hence a point is hidden if and only if this curve has a positive winding
+number there, for a footprint of any shape. The winding numbers of several buildings add up.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sim.compiling.compile import FloatArray, IntArray, compiled
+from sim.compiling.lanes import LANES
+from sim.compiling.records import RecordArray
+from sim.models.grid import disc_chords
+
+_LARGEST_FACTOR = 1e10
+"""Bound of F. Scaled by it, every wall farther than 1e-9 m from the camera is beyond a range of 10 m."""
+
+Corner = tuple[float, float]
+"""Corner of an outline in units of cells: column before row, counted from the center of the disc's first row."""
+
+
+class Occlusion(NamedTuple):
+    """Buildings, and the height from which a camera looks down on them."""
+
+    buildings: RecordArray
+    """Table of `BuildingRow`."""
+    corners: FloatArray
+    """Corners of the footprints [m]. Shape (corners, 2)."""
+    z: float
+    """Height of the camera above the ground [m]; above the roof of a building that the camera is over."""
+
+
+class Shadow(NamedTuple):
+    """Winding numbers of the outlines of all hidden sets, at the cells of a sensor's disc."""
+
+    chords: IntArray
+    """Cells of each row, as from `disc_chords`. Shape (2, rows)."""
+    winding: npt.NDArray[np.int16]
+    """Twice the winding number at each cell of a chord: positive if the cell is hidden. While outlines are added, its
+    change from the cell to the left. The first cell of a chord is at `LANES`. Shape (rows, columns + 2 LANES).
+    """
+    dark: npt.NDArray[np.uint8]
+    """1: the row may contain hidden cells. Shape (rows,)."""
+
+
+@compiled
+def _add_side(shadow: Shadow, u: Corner, v: Corner, turn: int) -> None:
+    """Add the crossings of the rows by one side of an outline, which turns counterclockwise from u to v.
+
+    Hidden sets are closed. Columns: the first hidden center is at or right of a crossing, the last one at or left of
+    it. Rows: the winding number is counted twice, just above and just below the row, so that a row along a side or
+    through a corner is hidden where either is.
+
+    Args:
+        shadow: The shadow; changed.
+        u: Start of the side and, on a ray, its end near the camera.
+        v: End of the side.
+        turn: 1; -1 for a side from v to u.
+    """
+    (u_column, u_row), (v_column, v_row), rows = u, v, float(shadow.dark.size)
+    low, high = min(u_row, v_row), max(u_row, v_row)
+    begin, end = int(max(np.ceil(low), 0.0)), int(min(np.floor(high) + 1.0, rows))
+    if end <= begin or low == high:
+        return
+    slope = (v_column - u_column) / (v_row - u_row)
+    left = (turn > 0) == (v_row < u_row)
+    for n in range(begin, end):
+        column = u_column + (n - u_row) * slope
+        column = np.ceil(column) if left else np.floor(column) + 1.0
+        first, behind = float(shadow.chords[0, n]), float(shadow.chords[1, n])
+        place = int(max(min(column, behind), first) - first)  # a chord may be empty
+        weight = 2 - (n <= low) - (n >= high)
+        shadow.winding[n, LANES + place] += weight if left else -weight
+        shadow.dark[n] = 1
+
+
+@compiled
+def _scaled(p: Corner, factor: float, a: Corner) -> Corner:
+    """Return a point, scaled about p."""
+    return p[0] + factor * (a[0] - p[0]), p[1] + factor * (a[1] - p[1])
+
+
+@compiled
+def _is_back(p: Corner, a: Corner, b: Corner) -> bool:
+    """Return whether a ray from p leaves a counterclockwise polygon through its edge from a to b."""
+    return (a[0] - p[0]) * (b[1] - p[1]) > (a[1] - p[1]) * (b[0] - p[0])
+
+
+@compiled
+def _add_building(
+    shadow: Shadow, occlusion: Occlusion, k: int, camera: Corner, per_cell: float, bottom: float
+) -> None:
+    """Add the outline of the set that a building hides.
+
+    Args:
+        shadow: The shadow; changed.
+        occlusion: The buildings.
+        k: Index of the building.
+        camera: Position of the camera.
+        per_cell: Number of cells per length [1/m].
+        bottom: Row of the center of the disc's first row, from the edge of the area.
+    """
+    row, corners, z = occlusion.buildings[k], occlusion.corners, occlusion.z
+    height = row["height"]
+    factor = min(z / (z - height), _LARGEST_FACTOR) if height < z else _LARGEST_FACTOR
+    first, end = row["first"], row["first"] + row["corners"]
+    a = corners[end - 2, 0] * per_cell - 0.5, corners[end - 2, 1] * per_cell - bottom
+    b = corners[end - 1, 0] * per_cell - 0.5, corners[end - 1, 1] * per_cell - bottom
+    was_back, far_b = _is_back(camera, a, b), _scaled(camera, factor, b)
+    for n in range(first, end):
+        a, far_a = b, far_b
+        b = corners[n, 0] * per_cell - 0.5, corners[n, 1] * per_cell - bottom
+        back, far_b = _is_back(camera, a, b), _scaled(camera, factor, b)
+        if back != was_back:
+            _add_side(shadow, a, far_a, 1 if back else -1)
+        if back:
+            _add_side(shadow, far_a, far_b, 1)
+        else:
+            _add_side(shadow, a, b, 1)
+        was_back = back
+
+
+@compiled
+def cast_shadow(
+    occlusion: Occlusion,
+    x: float,
+    y: float,
+    radius: float,
+    cell: float,
+    first_row: int,
+    chords: IntArray,
+) -> Shadow:
+    """Return the shadow of all buildings in a sensor's disc.
+
+    Only buildings that meet the disc matter: it contains the segments from its points to the camera.
+
+    Args:
+        occlusion: The buildings, and the height of the camera.
+        x, y: Position of the camera [m].
+        radius: Range of the sensor [m].
+        cell: Width of a cell [m].
+        first_row, chords: Cells of the disc, as from `disc_chords`.
+    """
+    rows, columns = chords.shape[1], 0
+    for n in range(rows):
+        columns = max(columns, chords[1, n] - chords[0, n])
+    shadow = Shadow(
+        chords,
+        np.zeros((rows, columns + 2 * LANES), dtype=np.int16),
+        np.zeros(rows, dtype=np.uint8),
+    )
+    per_cell, bottom = 1.0 / cell, first_row + 0.5
+    camera = x * per_cell - 0.5, y * per_cell - bottom
+    for k in range(occlusion.buildings.shape[0]):
+        row = occlusion.buildings[k]
+        d_x, d_y, far = row["x"] - x, row["y"] - y, row["reach"] + radius
+        if d_x * d_x + d_y * d_y <= far * far:
+            _add_building(shadow, occlusion, k, camera, per_cell, bottom)
+    for n in range(rows):
+        if shadow.dark[n]:
+            winding, row_winding = 0, shadow.winding[n]
+            for i in range(LANES, LANES + chords[1, n] - chords[0, n]):
+                winding += row_winding[i]
+                row_winding[i] = winding
+    return shadow
+
+
+@compiled
+def hidden_cells(
+    occlusion: Occlusion, x: float, y: float, radius: float, cell: float, shape: tuple[int, int]
+) -> npt.NDArray[np.bool_]:
+    """Return the cells of a grid that are in a sensor's disc and hidden from the camera, by their centers.
+
+    Args:
+        occlusion: The buildings, and the height of the camera.
+        x, y: Position of the camera [m].
+        radius: Range of the sensor [m].
+        cell: Width of a cell [m].
+        shape: Rows and columns of the grid.
+
+    Returns:
+        True for each hidden cell in the disc. Shape (rows, columns).
+    """
+    hidden = np.zeros(shape, dtype=np.bool_)
+    first_row, chords = disc_chords(x, y, radius, cell, shape[0], shape[1])
+    shadow = cast_shadow(occlusion, x, y, radius, cell, first_row, chords)
+    for n in range(chords.shape[1]):
+        for i in range(chords[0, n], chords[1, n]):
+            hidden[first_row + n, i] = shadow.winding[n, LANES + i - chords[0, n]] > 0
+    return hidden
