@@ -2,8 +2,8 @@
 
 
 def rows(text: str) -> list[list[str]]:
-    """The cells of each row; a line that begins with a bar goes on with the row before."""
-    lines = text.replace("\n|", " |").strip().splitlines()
+    """The cells of each row; a line that begins with a bar or with `&` goes on with the row before."""
+    lines = text.replace("\n|", " |").replace("\n&", " &").strip().splitlines()
     return [[cell.strip() for cell in line.split(" | ")] for line in lines]
 
 

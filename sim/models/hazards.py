@@ -44,7 +44,7 @@ class HazardRow(NamedTuple):
 
 
 @compiled
-def _segment_distance2(a_x: float, a_y: float, b_x: float, b_y: float, x: float, y: float) -> float:
+def segment_distance2(a_x: float, a_y: float, b_x: float, b_y: float, x: float, y: float) -> float:
     """Return the squared distance of (x, y) from the segment from a to b [m²]."""
     d_x, d_y, e_x, e_y = b_x - a_x, b_y - a_y, x - a_x, y - a_y
     along, length2 = e_x * d_x + e_y * d_y, d_x * d_x + d_y * d_y
@@ -92,7 +92,7 @@ def distance_to_hazard(
     a_x, a_y = corners[end - 1, 0], corners[end - 1, 1]
     for n in range(row["first"], end):
         b_x, b_y = corners[n, 0], corners[n, 1]
-        nearest = min(nearest, _segment_distance2(a_x, a_y, b_x, b_y, x, y))
+        nearest = min(nearest, segment_distance2(a_x, a_y, b_x, b_y, x, y))
         if (a_y > y) != (b_y > y) and x < a_x + (b_x - a_x) * (y - a_y) / (b_y - a_y):
             inside = not inside
         a_x, a_y = b_x, b_y
