@@ -213,6 +213,8 @@ TOUCHES = ("stuck", "damage")
 BOLD = "bold"
 CAUTIONS = ("cautious", BOLD)
 """Cautions of a UGV on unknown ground: drive only as fast as it can stop before it, or drive on."""
+ALTITUDE_LAWS = ("fixed", "certified", "best")
+"""Laws of a UAV's altitude: it stays at the initial one, or the law selects it."""
 
 
 def described(rows: Mapping[str, LawRow] | Mapping[str, DriverRow]) -> str:

@@ -2,8 +2,8 @@
 
 
 def rows(text: str) -> list[list[str]]:
-    """Return the cells of each row; a line that begins with a bar continues the previous row."""
-    lines = text.replace("\n|", " |").strip().splitlines()
+    """The cells of each row; a line that begins with a bar or with `&` goes on with the row before."""
+    lines = text.replace("\n|", " |").replace("\n&", " &").strip().splitlines()
     return [[cell.strip() for cell in line.split(" | ")] for line in lines]
 
 

@@ -48,6 +48,9 @@ def test_uav_receives_exactly_these_fields() -> None:
         max_command_interval max_tracking_error command_timeout
         ground tile map_update_rate tile_reports column row state
         origin latitude longitude altitude
+        initial_altitude min_altitude max_altitude max_climb_rate max_vertical_acceleration
+        vertical_clearance camera half_angle reference_altitude
+        buildings polygon marker_height building_clearance max_building_height
         vehicle dt visibility_radius law key past more"""
     assert fields_of(TO_UAV) == {*words(known), *fields_within(Law)}
 
@@ -57,6 +60,7 @@ def test_ugv_receives_exactly_these_fields() -> None:
         tick time position velocity radio relative_position coverage_error over episode
         operator driver goal goals goal_tolerance script command_timeout key past more
         ground tile sensing_range caution delay rough_speed_share executes_trajectories
+        buildings polygon building_clearance only_buildings
         tile_reports column row state map_updates tiles committed_trajectory
         vehicle dt area width height cell limits max_speed max_acceleration"""
     assert fields_of(TO_UGV) == {*words(known)}

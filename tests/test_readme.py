@@ -46,11 +46,13 @@ def test_prose_has_at_most_120_columns(page: str) -> None:
 
 
 def test_the_scenario_shown_can_be_flown(tmp_path: Path) -> None:
-    shown, pairs, hazards = blocks("toml", "docs/how-to/scenario.md")
+    shown, pairs, hazards, buildings = blocks("toml", "docs/how-to/scenario.md")
     (tmp_path / "mine.toml").write_text(shown, encoding="utf-8")
     assert load_scenario(tmp_path / "mine.toml").title == "Across the yard"
     (tmp_path / "mine.toml").write_text(f"{shown}\n{hazards}", encoding="utf-8")
     assert load_scenario(tmp_path / "mine.toml").has_ground
+    (tmp_path / "town.toml").write_text(buildings, encoding="utf-8")
+    assert load_scenario(tmp_path / "town.toml").has_buildings
     (tmp_path / "pairs.toml").write_text(pairs, encoding="utf-8")
     escorted = [uav.escorts for uav in load_scenario(tmp_path / "pairs.toml").uav]
     assert escorted == ["ugv_0", "ugv_1"]

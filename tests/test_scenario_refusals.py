@@ -143,6 +143,74 @@ fields_are_possible | hazard_field=[{kind="rough",count=9000,radius=[1,1]}] | ha
 fields_have_room | hazard_field=[{kind="block",count=90,radius=[4,5]}] | hazard_field.0.count = 90 | up to
 fields_have_room | hazard_field=[{kind="block",count=9,radius=[1,1],clearance=90}] | hazard_field.0.count = 9
 | a smaller clearance
+altitudes_are_possible | altitude.law=bets | altitude.law = "bets" | fixed, certified, best
+altitudes_are_possible | uav.0.max_climb_rate=2 | uav.0.max_climb_rate = 2.0 | also uav.0.initial_altitude
+altitudes_are_possible | uav.0.vertical_clearance=2 | uav.0.vertical_clearance = 2.0 | also uav.0.initial_altitude
+altitudes_are_possible | uav.0.initial_altitude=14 & uav.0.min_altitude=20 & uav.0.max_altitude=19
+| uav.0.min_altitude = 20.0 | up to uav.0.max_altitude = 19 m
+altitudes_are_possible | uav.0.initial_altitude=0.9 | uav.0.initial_altitude = 0.9 | 1 to 120 m
+altitudes_are_possible | uav.0.initial_altitude=121 | uav.0.initial_altitude = 121.0 | 1 to 120 m
+cameras_see | uav.0.initial_altitude=14 & ugv.0.marker_height=120 | ugv.0.marker_height = 120.0
+| less than uav.0.min_altitude = 1 m
+cameras_see | uav.0.initial_altitude=14 & uav.0.min_altitude=0.2 | uav.0.min_altitude = 0.2 | above 0.5502 m
+cameras_see | uav.0.initial_altitude=14 & camera.half_angle=0.01 | uav.0.initial_altitude = 14.0 | above 25.3 m
+cameras_see | uav.0.initial_altitude=14 & uav.0.min_altitude=10 & camera.half_angle=0.02
+| uav.0.min_altitude = 10.0 | above 12.8 m
+uavs_have_an_altitude | building=[{polygon=[[1,1],[2,1],[2,2]],height=3}] | uav.0.initial_altitude | a number in m
+uavs_have_an_altitude | building_field=[{block=[4,5],street=4,height=[3,4]}] | uav.0.initial_altitude | a number in m
+building_fields_are_possible | uav.0.initial_altitude=14 & building_field=[{block=[5,4],street=4,height=[3,4]}]
+| building_field.0.block = [5.0, 4.0] | [smallest, largest] in m
+building_fields_are_possible | uav.0.initial_altitude=14 & building_field=[{block=[4,5],street=4,height=[4,3]}]
+| building_field.0.height = [4.0, 3.0] | [smallest, largest] in m
+building_fields_are_possible | uav.0.initial_altitude=14 & building_field=[{block=[4,5],street=1,height=[3,4]}]
+| building_field.0.street = 1.0 | 1.5 m or more
+building_fields_are_possible | uav.0.initial_altitude=14 & ugv.0.building_clearance=1.5
+& building_field=[{block=[4,5],street=4,height=[3,4]}] | building_field.0.street = 4.0 | 4.5 m or more
+building_fields_are_possible | uav.0.initial_altitude=14 & building_field=[{block=[33,40],street=4,height=[3,4]}]
+| building_field.0.block = [33.0, 40.0] | fit with two streets into 40 m
+building_fields_are_possible | uav.0.initial_altitude=14 & ground.tile=0.25
+& building_field=[{block=[0.1,1],street=0.75,height=[3,4]}]
+| building_field.0.block = [0.1, 1.0] | 1,000 buildings at most
+building_fields_are_possible | uav.0.initial_altitude=14
+& building_field=[{block=[0.1,1],street=1.5,height=[3,4]},{block=[0.1,2],street=1.5,height=[3,4]}]
+| building_field.1.block = [0.1, 2.0] | 1,000 buildings at most
+building_fields_are_possible | uav.0.initial_altitude=14 & uav.0.min_altitude=14 & area.width=1e5 & area.height=1e5
+& area.cell=50 & ground.tile=50 & camera.half_angle=1.5 & building_field=[{block=[0.1,1],street=150,height=[3,4]}]
+| building_field.0.block = [0.1, 1.0] | 1,000 buildings at most
+buildings_have_a_shape | uav.0.initial_altitude=14 & building=[{polygon=[],height=3}]
+| building.0.polygon = [] | three or more
+buildings_have_a_shape | uav.0.initial_altitude=14 & building=[{polygon=[[1,1],[2,1]],height=3}]
+| building.0.polygon = [[1.0, 1.0], [2.0, 1.0]] | three or more
+buildings_have_a_shape | uav.0.initial_altitude=14 & building=[{polygon=[[1,1],[2,1],[1,1.0005]],height=3}]
+| building.0.polygon = [[1.0, 1.0], [2.0, 1.0], [1.0, 1.0005]] | more than a millimetre apart
+buildings_have_a_shape | uav.0.initial_altitude=14 & building=[{polygon=[[1,1],[2,2],[2,1],[1,2]],height=3}]
+| building.0.polygon = [[1.0, 1.0], [2.0, 2.0], [2.0, 1.0], [1.0, 2.0]] | in order around the polygon
+buildings_have_a_shape | uav.0.initial_altitude=14 & building=[{polygon=[[38,1],[41,1],[38,2]],height=3}]
+| building.0.polygon = [[38.0, 1.0], [41.0, 1.0], [38.0, 2.0]] | [0, 40] x [0, 40] m
+buildings_are_apart | uav.0.initial_altitude=14
+& building=[{polygon=[[1,1],[3,1],[3,3]],height=3},{polygon=[[3,1],[5,1],[5,3]],height=3}]
+| building.1.polygon = [[3.0, 1.0], [5.0, 1.0], [5.0, 3.0]] | more than a millimetre apart
+buildings_are_apart | uav.0.initial_altitude=14
+& building=[{polygon=[[1,1],[9,1],[1,7]],height=3},{polygon=[[2,2],[3,2],[2,3]],height=3}]
+| building.1.polygon = [[2.0, 2.0], [3.0, 2.0], [2.0, 3.0]] | more than a millimetre apart
+buildings_leave_stops_free | uav.0.initial_altitude=14 & building=[{polygon=[[6,7],[9,7],[6,8.5]],height=3}]
+| building.0.polygon = [[6.0, 7.0], [9.0, 7.0], [6.0, 8.5]] | away from all starts and goals
+buildings_leave_stops_free | uav.0.initial_altitude=14
+& building=[{polygon=[[1,1],[2,1],[1,2]],height=3},{polygon=[[19,12],[22,12],[20,14]],height=3}]
+| building.1.polygon = [[19.0, 12.0], [22.0, 12.0], [20.0, 14.0]] | away from all starts and goals
+buildings_leave_stops_free | uav.0.initial_altitude=14 & building=[{polygon=[[6,8.9],[9,8.9],[6,10]],height=13.5}]
+| uav.0.initial_altitude = 14.0 | 14.5 m or more
+building_bounds_agree | uav.0.initial_altitude=14 & certificate.max_building_height=2
+& building=[{polygon=[[1,1],[2,1],[2,2]],height=3}] | certificate.max_building_height = 2.0 | 3 m or more
+routes_are_open | uav.0.initial_altitude=14 & building=[{polygon=[[9,0],[9.5,0],[9.5,40],[9,40]],height=3}]
+| ugv.0.goals.0 = [14.0, 8.0] | adjacent 0.5 m tiles
+routes_are_open | uav.0.initial_altitude=14 & ugv.0.building_clearance=1
+& building=[{polygon=[[1,8.9],[6.2,8.9],[6.2,9.5]],height=3}] | ugv.0.position = [7.0, 8.0] | building_clearance = 1 m
+routes_are_open | uav.0.initial_altitude=14 & ugv.0.building_clearance=1
+& building=[{polygon=[[1,1],[5.5,1],[5.5,12]],height=3}] | ugv.0.position = [7.0, 8.0] | building_clearance = 1 m
+routes_are_open | uav.0.initial_altitude=14 & ugv.0.building_clearance=1
+& building=[{polygon=[[9,0],[9.5,0],[9.5,20],[9,20]],height=3},{polygon=[[9,22],[9.5,22],[9.5,40],[9,40]],height=3}]
+| ugv.0.goals.0 = [14.0, 8.0] | building_clearance = 1 m
 circle_is_within_sight | law.name=circle & law.parameters.circle_radius=4.75
 | law.parameters.circle_radius = 4.75 | less than r_v = 4.75 m
 circle_is_within_sight | law.name=circle & uav.0.max_acceleration=inf
@@ -251,6 +319,15 @@ uav.0.name=UAV | uav.0.name = "UAV": not a name; allowed: lower-case letters
 ugv=[] | ugv = []: out of bounds; allowed: a list of length >= 1
 uav={position=[1, 2]} | uav = {position = [1, 2]}: a single table; allowed: a list, in TOML [[uav]]
 coverage.covered=[{lower=[1, 1]}] | coverage.covered.0.upper: missing; allowed: [x, y] in m
+building=[{polygon=[[1,1],[2,1],[2,2]]}] | building.0.height: missing; allowed: a number in m
+building=[{height=3}] | building.0.polygon: missing; allowed: [[x, y], [x, y], [x, y], ...] in m
+building=[{height=0,polygon=[]}] | building.0.height = 0: out of bounds; allowed: a number > 0
+building_field=[{block=[4,5],street=4}] | building_field.0.height: missing; allowed: [smallest, largest] in m
+building_field=[{block=[0.01,5],street=4,height=[3,4]}] | building_field.0.block.0 = 0.01: out of bounds
+camera.half_angle=1.6 | camera.half_angle = 1.6: out of bounds; allowed: a number < 1.57079
+camera.half_angle=0 | camera.half_angle = 0: out of bounds; allowed: a number > 0
+uav.0.initial_altitude=-1 | uav.0.initial_altitude = -1: out of bounds; allowed: a number >= 0
+uav.0.initial_altitude=inf | uav.0.initial_altitude = inf: out of bounds; allowed: a number <= 100000
 sead=3 | sead = 3: unknown field, did you mean 'seed'?; allowed: name, title, seed, duration, dt
 hold=1.0 | hold = 1.0: renamed to command_timeout
 certificate.outage=2.0 | certificate.outage = 2.0: renamed to max_command_interval

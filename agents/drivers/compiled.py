@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from agents.drivers.building_map import map_buildings
 from agents.drivers.parameters import DriverInputs, UgvParameters, ugv_parameters
 from agents.drivers.pending_stops import PLAIN
 from agents.drivers.planning import path_corners
@@ -78,7 +79,7 @@ def briefed_route(briefing: UgvBriefing) -> Route:
 
 
 def briefed_grid(briefing: UgvBriefing) -> OccupancyGrid:
-    """Return the empty occupancy grid of a UGV; without tiles if there are no hazards.
+    """Return the initial occupancy grid of a UGV, with the known buildings; without tiles if there are no hazards.
 
     Raises:
         ScenarioError: If the area has too many tiles.
@@ -92,7 +93,9 @@ def briefed_grid(briefing: UgvBriefing) -> OccupancyGrid:
             f"ground.tile = {ground.tile:g}: divides the area into {shape[0] * shape[1]:.3g} tiles; "
             f"allowed: at most {MOST_TILES:,}"
         )
-    return occupancy_grid(*shape, first_tick_from(ground.delay, briefing.dt))
+    memory = occupancy_grid(*shape, first_tick_from(ground.delay, briefing.dt))
+    map_buildings(memory, briefing)
+    return memory
 
 
 def update_grid(memory: OccupancyGrid, observation: UgvObservation) -> None:

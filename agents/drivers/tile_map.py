@@ -16,6 +16,10 @@ from sim.models.hazards import BLOCK
 from sim.models.motion import no_motions
 
 _NEVER = -1
+MEASURED, MAPPED = 1, 2
+"""Sources of a tile's state that no radio report overrides: the UGV's own sensor or a complete map, which are exact;
+and a building of the map, near which the UGV must not drive even where the ground is clear.
+"""
 
 PlaceArray = npt.NDArray[np.int32]
 """Tiles, row by row, or positions of tiles."""
@@ -52,7 +56,7 @@ class OccupancyGrid(NamedTuple):
     tiles: TileArray
     """States of the tiles. Shape (rows, columns)."""
     measured: TileArray
-    """1 if the UGV's own sensor, which is free of errors, has reported the state. Shape (rows, columns)."""
+    """`MEASURED` or `MAPPED` if the state has this source; else 0. Shape (rows, columns)."""
     snapshot: TileArray
     """Snapshot for the search: tiles at its start, with the step to the next tile, see `agents.drivers.planning`.
 
@@ -111,6 +115,8 @@ def record_tiles(
 ) -> None:
     """Record tiles measured by the UGV's own sensor; they override all radio reports, earlier and later ones.
 
+    Tiles that the map has blocked keep their state.
+
     Args:
         memory: Changed in place.
         rows, columns: Tiles; those outside the map are ignored. Shape (tiles,).
@@ -119,9 +125,11 @@ def record_tiles(
     height, width = memory.tiles.shape
     for k in range(rows.shape[0]):
         i, j = rows[k], columns[k]
-        if 0 <= i < height and 0 <= j < width and states[k] != UNSEEN:
+        if i < 0 or i >= height or j < 0 or j >= width or states[k] == UNSEEN:
+            continue
+        if memory.measured[i, j] != MAPPED:
             _set_tile(memory, i, j, states[k])
-            memory.measured[i, j] = 1
+            memory.measured[i, j] = MEASURED
 
 
 @compiled
@@ -130,8 +138,8 @@ def record_block(
 ) -> None:
     """Record a block of tiles received by radio.
 
-    Tiles measured by the UGV's own sensor keep their state. A tile reported as BLOCK by radio also keeps it; other
-    states are overwritten by later reports.
+    Tiles measured by the UGV's own sensor, or known from its map, keep their state. A tile reported as BLOCK by radio
+    also keeps it; other states are overwritten by later reports.
 
     Args:
         memory: Changed in place.

@@ -67,6 +67,10 @@ class UgvGround(Message, frozen=True, kw_only=True):
     """Caution on unknown ground, one of `bus.registry.CAUTIONS`."""
     delay: NonNegative = 0.0
     """Time from the tick that a command answers to its effect [s]."""
+    building_clearance: NonNegative = 0.0
+    """Smallest distance from every known building that it declares to keep [m]; 0: none."""
+    only_buildings: bool = False
+    """True if the map of buildings is complete: there are no other hazards."""
     rough_speed_share: Annotated[float, Meta(gt=0.0, le=1.0)]
     """Smallest share of its maximum speed that it keeps on rough ground."""
     executes_trajectories: bool = False
@@ -93,6 +97,23 @@ def kept_share(kind: str, share: float | None) -> float:
     return DEFAULT_SHARE if share is None else share
 
 
+def distinct_corners(polygon: tuple[Vector, ...]) -> tuple[Vector, ...]:
+    """Return the corners of a polygon without those within `SAME_CORNER` of the one before, the last and first too."""
+    corners: list[Vector] = []
+    for corner in polygon:
+        if not corners or math.dist(corner, corners[-1]) > SAME_CORNER:
+            corners.append(corner)
+    while len(corners) > 1 and math.dist(corners[0], corners[-1]) <= SAME_CORNER:
+        corners.pop()
+    return tuple(corners)
+
+
+def bounding_box(points: tuple[Vector, ...]) -> tuple[Vector, Vector]:
+    """Return the lower and upper corner of the bounding box of points [m]."""
+    x, y = zip(*points, strict=True)
+    return (min(x), min(y)), (max(x), max(y))
+
+
 class Hazard(Message, frozen=True, kw_only=True):
     """Disc or polygon of hazardous ground; no vehicle receives it."""
 
@@ -111,14 +132,8 @@ class Hazard(Message, frozen=True, kw_only=True):
 
     @property
     def corners(self) -> tuple[Vector, ...]:
-        """Corners of the polygon without those within `SAME_CORNER` of the one before, the last and first too [m]."""
-        corners: list[Vector] = []
-        for corner in self.polygon:
-            if not corners or math.dist(corner, corners[-1]) > SAME_CORNER:
-                corners.append(corner)
-        while len(corners) > 1 and math.dist(corners[0], corners[-1]) <= SAME_CORNER:
-            corners.pop()
-        return tuple(corners)
+        """Return the corners of the polygon, see `distinct_corners` [m]."""
+        return distinct_corners(self.polygon)
 
     @property
     def kept_share(self) -> float:
@@ -128,8 +143,7 @@ class Hazard(Message, frozen=True, kw_only=True):
     @property
     def bounds(self) -> tuple[Vector, Vector]:
         """Return the lower and upper corner of the polygon's bounding box, or the center of the disc twice [m]."""
-        x, y = zip(*(self.polygon or (self.center or (0.0, 0.0),)), strict=True)
-        return (min(x), min(y)), (max(x), max(y))
+        return bounding_box(self.polygon or (self.center or (0.0, 0.0),))
 
     @property
     def middle(self) -> Vector:

@@ -96,6 +96,9 @@ class UgvGuarantee(Message, frozen=True, kw_only=True):
     """Certified ticks after which the certificate or the known tiles were lost, although all assumptions held. Any but
     0 disproves the guarantee.
     """
+    near_building: Tick = 0
+    """Ticks in which it was nearer to a building than its `building_clearance`. Any but 0 disproves what it declares.
+    """
 
 
 class MissionResult(Message, frozen=True, kw_only=True):

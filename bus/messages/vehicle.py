@@ -17,6 +17,7 @@ from bus.messages.base import (
     Ticks,
     Vector,
 )
+from bus.messages.buildings import AltitudeLimits, Building, Camera
 from bus.messages.decision import FilterDecision
 from bus.messages.ground import (
     MOST_BLOCKS,
@@ -85,6 +86,8 @@ class VehicleBriefing(Message, frozen=True, kw_only=True):
     """Key of the pilot's own random numbers. With a secret, neither the seed nor any other random number follows from
     it. Without one, it can be found by trying all seeds: then the seed is the secret.
     """
+    buildings: tuple[Building, ...] = ()
+    """Known buildings; empty: there are none, or the vehicle has no map of them."""
     more: bool = False
     """True if another part of the history follows."""
     episode: Tick = 0
@@ -118,6 +121,16 @@ class UavBriefing(VehicleBriefing, frozen=True, kw_only=True):
     """
     ground: UavGround | None = None
     """Its sensor of hazards; None: the scenario has no hazards."""
+    altitude: AltitudeLimits | None = None
+    """Its vertical bounds; None: it flies in the plane."""
+    camera: Camera | None = None
+    """Its camera; None: it flies in the plane."""
+    marker_height: NonNegative = 0.3
+    """Height of the marker of its UGV above the ground [m]."""
+    building_clearance: NonNegative = 0.0
+    """Smallest distance from every building that its UGV declares to keep [m]; 0: none."""
+    max_building_height: NonNegative | None = None
+    """Declared height of the highest building [m]; None: there are no buildings."""
     origin: Origin = Origin()
     """Geographic position of the area's origin, for bridges that use degrees."""
     past: "tuple[UavObservation, ...]" = ()

@@ -92,7 +92,7 @@ def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:
     if briefing.ground is not None:
         raise ScenarioError(
             f"{vehicle}: perceives hazards, but units have no variables for tiles; allowed: scenarios without "
-            "[[hazard]] and [[hazard_field]]"
+            "[[hazard]], [[hazard_field]], [[building]] and [[building_field]]"
         )
     if isinstance(briefing, UavBriefing):
         SelectedLaw(briefing, briefing.law, uav_parameters(briefing))

@@ -29,6 +29,7 @@ from outrider.envs.closed_loop_state import (
     LoopTables,
 )
 from outrider.envs.closed_loop_tick import run_worlds
+from outrider.envs.initial_grids import grids_of, map_random_buildings
 from outrider.envs.pilot_numbers import PilotNumbers, loop_parameters, repeated, uses_radio
 from sim.channel.link_records import no_packets
 from sim.compiling.compile import FloatArray, IntArray
@@ -88,12 +89,13 @@ class ClosedLoop:
         for name in (*self.external, *chosen):
             if name not in self.names:
                 raise ValueError(f"vehicle = {name!r}; allowed: {', '.join(self.names)}")
+        self._secret = check_secret(options.secret)
         self.batch = Batch(
             scenario,
             worlds,
             gains=options.rewards.seen > 0.0,
             threads=options.threads,
-            secret=check_secret(options.secret),
+            secret=self._secret,
             others=(LinkKind.RADIO,),
         )
         rows = row_tables(scenario, options, error=error)
@@ -180,7 +182,7 @@ class ClosedLoop:
             drivers=driver_memories(numbers.drivers, worlds),
             kalman=repeated(estimator_rows(depth), worlds, uavs),
             filters=repeated(fresh, worlds, uavs),
-            grids=repeated(numbers.ground, worlds, ugvs),
+            grids=grids_of(numbers.grids, worlds),
             outbox=no_packets(worlds, uavs, 2),
             detections=np.zeros((worlds, room, 3)),
             inboxes=np.zeros((worlds, ugvs, room * uavs if parameters.radio else 1, 3)),
@@ -217,6 +219,13 @@ class ClosedLoop:
                 if rows is not None and "key_0" in rows.dtype.names:
                     for word, name in enumerate(("key_0", "key_1")):
                         rows[name][which] = keys[:, vehicles, word]
+            if self.scenario.building_field and self.scenario.buildings.known:
+                map_random_buildings(
+                    self.state.grids,
+                    self.scenario,
+                    zip(which.tolist(), seeds, strict=True),
+                    self._secret,
+                )
         self._run(which, self._none, 0)
 
     def step(self, actions: FloatArray, worlds: IntArray | None = None) -> None:

@@ -138,9 +138,8 @@ class PilotNumbers:
         drivers = [pilots.get(one.vehicle) or one.driver for one in ugv_briefings]
         self.drivers = driver_tables(ugv_briefings, drivers)
         self.scripts = [briefed_route(one).script for one in ugv_briefings]
-        grids = [briefed_grid(one) for one in ugv_briefings]
-        self.late = np.array([len(memory.sent) for memory in grids], dtype=np.int64)
-        self.ground = max(grids, key=lambda memory: len(memory.sent))  # all share one area
+        self.grids = [briefed_grid(one) for one in ugv_briefings]
+        self.late = np.array([len(memory.sent) for memory in self.grids], dtype=np.int64)
         self.radio = uses_radio(scenario, drivers)
 
     @staticmethod

@@ -30,8 +30,15 @@ from sim.engine.world_state import (
 )
 from sim.engine.world_tick import begin_world, world_tick
 from sim.models.motion import no_motions
-from sim.models.randomness import HAZARD_FIELDS
-from sim.scenario.ground_tables import ground_tables, place_fields
+from sim.models.randomness import BUILDING_FIELDS, HAZARD_FIELDS
+from sim.scenario.building_tables import run_buildings
+from sim.scenario.ground_tables import (
+    first_corner,
+    ground_tables,
+    place_buildings,
+    place_fields,
+    world_tables,
+)
 from sim.scenario.types import Scenario
 
 
@@ -176,19 +183,25 @@ class Batch:
         self.state.vehicles["keys"][which] = keys.swapaxes(1, 2)
         purposes, vehicles = self._key_rows
         self.links.records["key"][which] = keys[:, purposes, vehicles]
-        if self.scenario.hazard_field:
-            self._place_hazards(which)
+        self._draw_ground(which)
         return which
 
-    def _place_hazards(self, worlds: IntArray) -> None:
-        """Draw the hazards of the scenario's fields; they differ with every seed."""
-        if self.ground is None:
+    def _draw_ground(self, worlds: IntArray) -> None:
+        """Draw the buildings and hazards of the scenario's fields; they differ with every seed."""
+        scenario, ground = self.scenario, self.ground
+        if ground is None or not (scenario.building_field or scenario.hazard_field):
             return
-        tables = ground_tables(self.scenario)
+        tables = ground_tables(scenario)
         for k in worlds.tolist():
-            first, second = self.state.vehicles["keys"][k, 0, HAZARD_FIELDS]
-            own = tables._replace(hazards=self.ground.hazards[k], tiles=self.ground.tiles[k])
-            place_fields(self.scenario, own, (first, second))
+            keys = self.state.vehicles["keys"][k, 0]
+            own = world_tables(tables, ground.hazards[k], ground.corners, ground.tiles[k])
+            if scenario.building_field:
+                first, second = keys[BUILDING_FIELDS]
+                buildings = run_buildings(scenario, (first, second))
+                own = place_buildings(scenario, own, buildings, first_corner(scenario, tables, k))
+            if scenario.hazard_field:
+                first, second = keys[HAZARD_FIELDS]
+                place_fields(scenario, own, (first, second))
 
     def advance(self, *, linked: bool = True) -> None:
         """Advance all worlds by one tick under the outgoing commands, or under `command` of each vehicle.

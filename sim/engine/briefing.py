@@ -3,6 +3,7 @@
 from typing import Any
 
 from bus.messages.base import or_none
+from bus.messages.buildings import Building
 from bus.messages.ground import UavGround, UgvGround
 from bus.messages.links import LinkKind
 from bus.messages.scenario import Detector, Limits, SafetyParameters
@@ -10,9 +11,10 @@ from bus.messages.vehicle import Briefing, UavBriefing, UgvBriefing
 from sim.channel.description import longest_delay
 from sim.engine.run_keys import derive_key
 from sim.models.inner_loop import tracking_error
-from sim.models.randomness import PILOT
+from sim.models.randomness import BUILDING_FIELDS, PILOT, words_of
 from sim.models.safety import SafetyBounds, safety_bounds
-from sim.scenario.types import DEFAULT_AGE, Scenario, Uav, Ugv
+from sim.scenario.building_tables import max_building_height, run_buildings
+from sim.scenario.types import DEFAULT_AGE, Scenario, Uav, Ugv, altitude_limits
 
 
 def limits(vehicle: Uav | Ugv) -> Limits:
@@ -80,6 +82,14 @@ def monitored_bounds(scenario: Scenario, uav: str) -> SafetyBounds:
     )
 
 
+def known_buildings(scenario: Scenario, seed: int, secret: str = "") -> tuple[Building, ...]:
+    """Return the buildings on which the vehicles are briefed; empty if they have no map."""
+    if not (scenario.has_buildings and scenario.buildings.known):
+        return ()
+    key = words_of(derive_key(seed, BUILDING_FIELDS, 0, secret))
+    return run_buildings(scenario, key)
+
+
 def _common(scenario: Scenario, vehicle: Uav | Ugv, seed: int, secret: str) -> dict[str, Any]:
     """Return the fields of `VehicleBriefing`."""
     row = [one.name for one in scenario.vehicles].index(vehicle.name)
@@ -89,6 +99,7 @@ def _common(scenario: Scenario, vehicle: Uav | Ugv, seed: int, secret: str) -> d
         "area": scenario.area,
         "limits": limits(vehicle),
         "key": derive_key(seed, PILOT, row, secret),
+        "buildings": known_buildings(scenario, seed, secret),
     }
 
 
@@ -96,6 +107,7 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
     """Return the briefing of a UAV; arguments and errors as in `briefing`."""
     uav = {one.name: one for one in scenario.uav}[name]
     escorted = {ugv.name: ugv for ugv in scenario.ugv}[uav.escorts]
+    altitude = altitude_limits(scenario, uav)
     return UavBriefing(
         **_common(scenario, uav, seed, secret),
         target_limits=limits(escorted),
@@ -115,6 +127,11 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         ground=UavGround(tile=scenario.ground.tile, map_update_rate=scenario.ground.map_update_rate)
         if scenario.has_ground
         else None,
+        altitude=altitude,
+        camera=None if altitude is None else scenario.camera,
+        marker_height=escorted.marker_height,
+        building_clearance=escorted.building_clearance,
+        max_building_height=max_building_height(scenario),
         origin=scenario.origin,
     )
 
@@ -135,6 +152,8 @@ def ugv_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
             caution=ugv.caution,
             rough_speed_share=scenario.rough_share,
             delay=ugv_delay(scenario, name),
+            building_clearance=ugv.building_clearance,
+            only_buildings=scenario.only_known_buildings,
             executes_trajectories=ugv_carries(scenario, ugv),
         )
         if scenario.has_ground

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray, record_type, records
 from sim.models.ground import TileArray
-from sim.scenario.ground_tables import ground_tables
+from sim.scenario.ground_tables import ground_tables, world_corners
 from sim.scenario.types import Scenario, Ugv
 
 TickArray = npt.NDArray[np.int32]
@@ -28,6 +28,11 @@ class GroundParameters(NamedTuple):
     bumper: float
     stuck: bool
     """True if a vehicle that touches a blocking hazard is stuck; else it is damaged and drives on."""
+    first_building: int
+    end_building: int
+    """Rows of the buildings among the hazards, end exclusive. A vehicle that touches one is always stuck."""
+    mapped: bool
+    """True if the vehicles know the state of every tile: they have a map, and the buildings are the only hazards."""
 
 
 class Progress(NamedTuple):
@@ -41,6 +46,8 @@ class Progress(NamedTuple):
     """Ticks in which it drove over a tile that it did not know to be drivable."""
     claim: int
     """Its claim at this tick, a constant of `sim.models.ground`; 0: none."""
+    near_building: int
+    """Ticks in which it was nearer to a building than the clearance that it declares."""
     certified: int
     way_unknown: int
     no_stop: int
@@ -72,13 +79,15 @@ class GroundState(NamedTuple):
     parameters: RecordArray
     """`GroundParameters`. Shape (1,)."""
     corners: FloatArray
-    """Corners of all polygons [m]. Shape (corners, 2)."""
+    """Corners of all polygons [m]: common ones, then the random buildings' of each world. Shape (corners, 2)."""
     ugvs: IntArray
     """Row of each UGV among the vehicles. Shape (UGVs,)."""
     strides: FloatArray
     """Longest distance that each UGV drives in a tick [m]. Shape (UGVs,)."""
+    clearances: FloatArray
+    """Distance that each UGV declares to keep from buildings [m]. Shape (UGVs,)."""
     hazards: RecordArray
-    """`HazardRow`: first the scenario's hazards, then the random ones. Shape (worlds, hazards)."""
+    """`HazardRow`: the scenario's hazards, the buildings, then the random hazards. Shape (worlds, hazards)."""
     tiles: TileArray
     """True state of each tile. Shape (worlds, rows, columns)."""
     looked: npt.NDArray[np.float32]
@@ -116,7 +125,7 @@ class GroundState(NamedTuple):
     """Time at which a vehicle's sensor first reported each hazard. Shape (worlds, hazards)."""
 
 
-CONSTANTS = ("parameters", "corners", "ugvs", "strides")
+CONSTANTS = ("parameters", "corners", "ugvs", "strides", "clearances")
 """Arrays of `GroundState` without an axis for worlds."""
 
 
@@ -124,32 +133,26 @@ def ground_of(scenario: Scenario, worlds: int) -> GroundState | None:
     """Return the initial ground, before hazards are drawn or reported; None: no hazards."""
     if not scenario.has_ground:
         return None
-    tables, ground = ground_tables(scenario), scenario.ground
-    parameters = GroundParameters(
-        tile=float(ground.tile),
-        period=scenario.ground_period,
-        miss=float(ground.miss),
-        false_alarm=float(ground.false_alarm),
-        bumper=float(ground.sensing_range),
-        stuck=ground.touch == "stuck",
-    )
-    reach = max(scenario.sensor.range, ground.sensing_range)
-    room = min(tables.tiles.size, (2 * math.ceil(reach / ground.tile) + 3) ** 2)
+    tables = ground_tables(scenario)
     rows = [(k, one) for k, one in enumerate(scenario.vehicles) if isinstance(one, Ugv)]
     vehicles, uavs, ugvs = len(scenario.vehicles), len(scenario.uav), len(rows)
     size, count = tables.tiles.shape, len(tables.hazards)
     missions = np.zeros((worlds, ugvs), dtype=record_type(Progress))
     missions["arrived"] = missions["listed"] = -1
+    warned = np.zeros((worlds, ugvs, count), np.int32)
+    if scenario.buildings.known:
+        warned[:, :, tables.buildings.start : tables.buildings.stop] = 1
     return GroundState(
-        parameters=records(GroundParameters, [parameters]),
-        corners=tables.corners,
+        parameters=records(GroundParameters, [_parameters(scenario, tables.buildings)]),
+        corners=world_corners(scenario, tables, worlds),
         ugvs=np.array([k for k, _ in rows], dtype=np.int64),
         strides=np.array([one.max_speed * scenario.dt for _, one in rows]),
+        clearances=np.array([one.building_clearance for _, one in rows], dtype=np.float64),
         hazards=np.repeat(tables.hazards[None], worlds, axis=0),
         tiles=np.repeat(tables.tiles[None], worlds, axis=0),
         looked=np.zeros((worlds, uavs, *size), np.float32),
         known=np.zeros((worlds, vehicles, *size), np.uint8),
-        seen=np.zeros((worlds, vehicles, room), np.int32),
+        seen=np.zeros((worlds, vehicles, _room(scenario, tables.tiles.size)), np.int32),
         report_counts=np.zeros((worlds, vehicles), np.int64),
         pace=np.ones((worlds, vehicles)),
         before=np.zeros((worlds, ugvs, 2)),
@@ -157,9 +160,30 @@ def ground_of(scenario: Scenario, worlds: int) -> GroundState | None:
         missions=missions,
         received=np.zeros((worlds, ugvs, *size), np.int32),
         radioed=np.zeros((worlds, ugvs, *size), np.uint8),
-        warned=np.zeros((worlds, ugvs, count), np.int32),
+        warned=warned,
         met=np.zeros((worlds, ugvs, count), np.int32),
         nearest=np.full((worlds, ugvs, count), np.inf),
         near=np.zeros((worlds, ugvs, count), np.int32),
         found=np.zeros((worlds, count), np.int32),
     )
+
+
+def _parameters(scenario: Scenario, buildings: range) -> GroundParameters:
+    ground = scenario.ground
+    return GroundParameters(
+        tile=float(ground.tile),
+        period=scenario.ground_period,
+        miss=float(ground.miss),
+        false_alarm=float(ground.false_alarm),
+        bumper=float(ground.sensing_range),
+        stuck=ground.touch == "stuck",
+        first_building=buildings.start,
+        end_building=buildings.stop,
+        mapped=scenario.only_known_buildings,
+    )
+
+
+def _room(scenario: Scenario, tiles: int) -> int:
+    """Return the largest number of tiles that a vehicle reports in a tick."""
+    reach = max(scenario.sensor.range, scenario.ground.sensing_range)
+    return min(tiles, (2 * math.ceil(reach / scenario.ground.tile) + 3) ** 2)

@@ -121,6 +121,33 @@ def _meets_block(
 
 
 @compiled
+def _contact(
+    ground: GroundState, world: int, ugv: int, p: FloatArray, q: FloatArray
+) -> tuple[bool, float]:
+    """Record the blocking hazards that a UGV touches first on its segment from p to q [m].
+
+    Returns:
+        True if it is stuck there, and the share of the segment before.
+    """
+    hit, share = _meets_block(ground, world, p, q)
+    if hit < 0:
+        return False, math.inf
+    ground.hits[world, ugv, hit] = 1
+    parameters = ground.parameters[0]
+    if parameters.stuck or parameters.first_building <= hit < parameters.end_building:
+        return True, share
+    # a building may stop a vehicle that other hazards only damage
+    first, end = parameters.first_building, parameters.end_building
+    start, stop = (p[0], p[1]), (q[0], q[1])
+    wall, share = crosses_hazard(
+        ground.hazards[world, first:end], ground.corners, BLOCK, start, stop
+    )
+    if wall >= 0:
+        ground.hits[world, ugv, first + wall] = 1
+    return wall >= 0, share
+
+
+@compiled
 def _enters_unknown(
     tile: float,
     known: TileArray,
@@ -133,7 +160,7 @@ def _enters_unknown(
 
     Args:
         tile: Width of a tile [m].
-        known: States reported by its own sensor; they take precedence over the radio's.
+        known: States reported by its own sensor, or by a complete map; they take precedence over the radio's.
         received: States received by radio.
         start, end: Ends of the path [m], a parabola; at rest it enters no tile.
         last: Displacement in a tick at its final velocity [m].
@@ -167,7 +194,7 @@ def drive_on(numbers: WorldParameters, ground: GroundState, state: BatchState, w
         place, velocity = vehicle.reference_position, vehicle.reference_velocity
         if _enters_unknown(
             parameters.tile,
-            ground.known[world, v],
+            ground.tiles[world] if parameters.mapped else ground.known[world, v],
             ground.radioed[world, n],
             start,
             place,
@@ -178,15 +205,13 @@ def drive_on(numbers: WorldParameters, ground: GroundState, state: BatchState, w
             row.broken += 1 if row.claim == CERTIFIED and row.untrue == 0 else 0
         if ground.pace[world, v] == 0.0:
             continue
-        hit, share = _meets_block(ground, world, start, place)
-        if hit >= 0:
-            ground.hits[world, n, hit] = 1
-            if parameters.stuck:
-                ground.pace[world, v] = 0.0
-                for i in range(2):
-                    place[i] = start[i] + share * (place[i] - start[i])
-                    velocity[i] = 0.0
-                continue
+        stuck, share = _contact(ground, world, n, start, place)
+        if stuck:
+            ground.pace[world, v] = 0.0
+            for i in range(2):
+                place[i] = start[i] + share * (place[i] - start[i])
+                velocity[i] = 0.0
+            continue
         x, y = place[0], place[1]
         ground.pace[world, v] = 1.0
         if state_at(ground.tiles[world], parameters.tile, x, y) in (ROUGH, BLOCK):

@@ -147,6 +147,20 @@ def _list_near(hazards: RecordArray, near: TickArray, x: float, y: float) -> int
 
 
 @compiled
+def _is_near_building(ground: GroundState, world: int, ugv: int, x: float, y: float) -> bool:
+    """Return whether a UGV at (x, y) [m] is nearer to a building than the clearance that it declares."""
+    parameters, clearance = ground.parameters[0], ground.clearances[ugv]
+    if clearance == 0.0:
+        return False
+    hazards = ground.hazards[world]
+    for h in range(parameters.first_building, parameters.end_building):
+        near = hazards[h].kind > 0 and may_be_within(hazards, h, x, y, clearance)
+        if near and distance_to_hazard(hazards, ground.corners, h, x, y) < clearance:
+            return True
+    return False
+
+
+@compiled
 def _drive(
     tables: BatchTables, state: BatchState, ground: GroundState, world: int, ugv: int
 ) -> None:
@@ -154,6 +168,7 @@ def _drive(
     tick, vehicle = state.ticks[world], state.vehicles[world, tables.ugvs[ugv]]
     x, y = vehicle.position[0], vehicle.position[1]
     row, goals = ground.missions[world, ugv], goals_of(tables.goals, tables.goal_rows, ugv)
+    row.near_building += 1 if _is_near_building(ground, world, ugv, x, y) else 0
     if tick > 0:
         way = norm(x - ground.before[world, ugv, 0], y - ground.before[world, ugv, 1])
         tile, (rows, columns) = ground.parameters[0].tile, ground.tiles[world].shape
@@ -198,6 +213,7 @@ def _guarantee(row: RecordArray) -> UgvGuarantee:
         certified=int(row["certified"]),
         uncertified={UNCERTIFIED[code]: ticks for code, ticks in by_reason.items() if ticks},
         certificate_broken=int(row["broken"]),
+        near_building=int(row["near_building"]),
     )
 
 

@@ -33,8 +33,13 @@ _NEEDED = {
     "kind": ", ".join(HAZARDS),
     "count": "a whole number",
     "radius": "[smallest, largest] in m",
+    "polygon": "[[x, y], [x, y], [x, y], ...] in m",
+    "block": "[smallest, largest] in m",
+    "street": "a number in m",
+    "building_field.height": "[smallest, largest] in m",
+    "height": "a number in m",
 }
-"""Allowed values of required fields that are not points."""
+"""Allowed values of required fields that are not points, by name; before that, by table and name."""
 _NAME_RULE = "lower-case letters, digits and '_', starting with a letter, at most 32"
 
 
@@ -112,7 +117,8 @@ def _fault(message: str, raw: Any, kind: type[msgspec.Struct]) -> Fault:  # noqa
         key = text.partition("`")[2].removesuffix("`")
         field = f"{here}.{key}" if here else key
         if "missing" in text:
-            return Fault(field, None, "missing", _NEEDED.get(key, "[x, y] in m"))
+            needed = _NEEDED.get(f"{path[0]}.{key}" if path else key, _NEEDED.get(key))
+            return Fault(field, None, "missing", needed or "[x, y] in m")
         fields = _fields(kind, path)
         if new := new_name(path, key):
             return Fault(field, raw[key], f"renamed to {new}", ".".join([*path, new]))

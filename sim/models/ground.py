@@ -12,7 +12,7 @@ import numpy.typing as npt
 from bus.messages.ground import BLOCK_SIDE, TILE_LETTERS
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray
-from sim.models.hazards import BLOCK, FOUND, ROUGH, TOUCH
+from sim.models.hazards import BLOCK, FOUND, ROUGH, TOUCH, segment_distance2
 
 TileArray = npt.NDArray[np.uint8]
 """Map of tiles. Shape (rows, columns)."""
@@ -204,6 +204,61 @@ def _fill_polygon(corners: FloatArray, state: int, tile: float, tiles: TileArray
         for n in range(0, met - 1, 2):
             first, behind = span(inside[n], inside[n + 1], tile, columns)
             tiles[i, first:behind] = state
+
+
+@compiled
+def _end_distance2(
+    a_x: float, a_y: float, b_x: float, b_y: float, left: float, low: float, tile: float
+) -> float:
+    """Return the squared distance between a segment and a tile from the ends of one to the other [m²].
+
+    It is the squared distance of the two if they have no common point: the nearest points of convex polygons include
+    a corner.
+    """
+    right, high, nearest = left + tile, low + tile, math.inf
+    for x in (left, right):
+        for y in (low, high):
+            nearest = min(nearest, segment_distance2(a_x, a_y, b_x, b_y, x, y))
+    for x, y in ((a_x, a_y), (b_x, b_y)):
+        d_x, d_y = max(left - x, x - right, 0.0), max(low - y, y - high, 0.0)
+        nearest = min(nearest, d_x * d_x + d_y * d_y)
+    return nearest
+
+
+@compiled
+def add_polygon(
+    corners: FloatArray, reach: float, state: int, tile: float, tiles: TileArray
+) -> None:
+    """Set the state of the tiles that a polygon touches, or comes as near as `reach`.
+
+    Every point of another tile is farther than `reach` from the polygon.
+
+    Args:
+        corners: Corners of a simple polygon in order [m]. Shape (corners, 2).
+        reach: Distance [m].
+        state: ROUGH, BLOCK or FOUND.
+        tile: Side of a tile [m].
+        tiles: The map; changed.
+    """
+    _fill_polygon(corners, state, tile, tiles)
+    rows, columns = tiles.shape
+    far = reach + TOUCH
+    a_x, a_y = corners[corners.shape[0] - 1, 0], corners[corners.shape[0] - 1, 1]
+    for n in range(corners.shape[0]):
+        b_x, b_y = corners[n, 0], corners[n, 1]
+        first, end = span(min(a_y, b_y) - far, max(a_y, b_y) + far, tile, rows)
+        for i in range(first, end):
+            low, high = i * tile - far, (i + 1) * tile + far
+            left, right = edge_within(a_x, a_y, b_x, b_y, low, high)
+            if left > right:
+                continue
+            begin, behind = span(left - far, right + far, tile, columns)
+            for j in range(begin, behind):
+                if tiles[i, j] != state and (
+                    _end_distance2(a_x, a_y, b_x, b_y, j * tile, i * tile, tile) <= far * far
+                ):
+                    tiles[i, j] = state
+        a_x, a_y = b_x, b_y
 
 
 @compiled

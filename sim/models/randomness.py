@@ -31,11 +31,12 @@ RADIO_LINK = constant(6)
 DISTURBANCE = constant(7)
 HAZARD_FIELDS = constant(8)
 GROUND_LOOK = constant(9)
-RUN_PURPOSES = 10
+BUILDING_FIELDS = constant(10)
+RUN_PURPOSES = 11
 """Number of these purposes."""
 
-# Purposes that share a key: of a pilot, of a link, of wind and position error, or of the hazards. Numbers must never
-# change.
+# Purposes that share a key: of a pilot, of a link, of wind and position error, of the hazards, or of the buildings.
+# Numbers must never change.
 NEAREST_POINT = constant(16)
 START_DIRECTION = constant(17)
 WANDER = constant(18)
@@ -48,6 +49,8 @@ OWN_POSITION = constant(24)
 LOOKAHEAD_MOTION = constant(25)
 TILE_CHANCE = constant(26)
 HAZARD_PLACE = constant(27)
+BUILDING_SIDE = constant(28)
+BUILDING_HEIGHT = constant(29)
 
 FIRST, SECOND = constant(0), constant(1)
 """Indices of random numbers."""

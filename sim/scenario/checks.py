@@ -19,6 +19,7 @@ from bus.registry import (
 )
 from sim.input.faults import Fault, near, one_line, unknown_name
 from sim.input.reading import as_raw, type_fault, typed
+from sim.scenario.building_checks import BUILDING_CHECKS, building_warnings
 from sim.scenario.ground_checks import GROUND_CHECKS, hazard_warnings
 from sim.scenario.types import Scenario, switching_radius
 from sim.scenario.world_checks import WORLD_CHECKS, Check, escorts
@@ -199,6 +200,7 @@ CHECKS: tuple[Check, ...] = (
     reference_speed_is_possible,
     controller_is_stable,
     circle_is_within_sight,
+    *BUILDING_CHECKS,
     *GROUND_CHECKS,
 )
 """Checks in order: later ones may rely on earlier ones."""
@@ -242,6 +244,7 @@ def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
             _circle_warnings,
             _task_warnings,
             hazard_warnings,
+            building_warnings,
         )
         for line in warnings(scenario)
     )

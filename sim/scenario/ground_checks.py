@@ -3,32 +3,34 @@
 import itertools
 import math
 from collections.abc import Iterator
-from functools import lru_cache
 
 import msgspec
 import numpy as np
 
 from bus.messages.ground import Hazard
 from bus.registry import CAUTIONS, DRIVERS, HAZARDS, TOUCHES
-from sim.compiling.compile import FloatArray, IntArray
 from sim.input.faults import Fault, unknown_name
-from sim.models.ground import tile_index
-from sim.models.hazards import BLOCK, crosses_hazard, hazard_at
+from sim.models.ground import TileArray, span, tile_index
+from sim.models.hazards import BLOCK, TOUCH, crosses_hazard, hazard_at
+from sim.scenario.building_tables import run_buildings
 from sim.scenario.ground_tables import (
+    building_rows,
     corners_of,
+    first_corner,
     ground_tables,
     hazard_rows,
+    place_buildings,
     place_fields,
-    stops,
 )
-from sim.scenario.types import MOST_HAZARDS, HazardField, Scenario
+from sim.scenario.ground_types import MOST_HAZARDS, HazardField
+from sim.scenario.polygon_checks import polygon_faults
+from sim.scenario.stops import all_stops, stops
+from sim.scenario.types import Scenario
 from sim.scenario.world_checks import Check
 
 _MOST_TILES = 1_000_000
 _MOST_GROUND = 4.0
 """Largest total area of a field's discs, as a share of the area: half of it already blocks most routes."""
-_LEAST_AREA = 1e-9
-"""Smallest area of a polygon [m²]."""
 _ROUNDING = 1e-9
 
 
@@ -72,7 +74,7 @@ def hazards_have_a_shape(scenario: Scenario) -> Iterator[Fault]:
                 f"{path}.polygon", hazard.polygon, "also a disc", "either a disc or a polygon"
             )
         elif hazard.polygon:
-            yield from _polygon_faults(f"{path}.polygon", hazard)
+            yield from polygon_faults(f"{path}.polygon", hazard.polygon)
         elif hazard.center is None:
             wrong = "missing" if hazard.radius is not None else "neither a disc nor a polygon"
             allowed = "[x, y] in m, with radius, or a polygon instead"
@@ -88,58 +90,6 @@ def _share_fault(path: str, hazard: Hazard | HazardField) -> Iterator[Fault]:
         yield Fault(
             f"{path}.speed_share", hazard.speed_share, wrong, f"kind {rough}, or no speed_share"
         )
-
-
-@lru_cache(maxsize=8)
-def _apart(count: int) -> tuple[IntArray, IntArray]:
-    """Return all pairs of a polygon's sides without a common corner."""
-    one, other = np.triu_indices(count, 2)
-    apart = other - one < count - 1
-    return one[apart], other[apart]
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    product: FloatArray = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    return product
-
-
-def _polygon_faults(path: str, hazard: Hazard) -> Iterator[Fault]:
-    """Check that a polygon has three or more corners, an area, and sides that meet only at corners."""
-    corners = np.array(hazard.corners)
-    count = len(corners)
-    if count < 3:
-        yield Fault(
-            path, hazard.polygon, f"{count} corners", "three or more, more than a millimetre apart"
-        )
-        return
-    sides = np.roll(corners, -1, axis=0) - corners
-    met = _sides_that_meet(corners, sides)
-    from_first = corners - corners[0]
-    twice_the_area = float(_cross(from_first, np.roll(from_first, -1, axis=0)).sum())
-    if met is not None:
-        wrong = f"crosses itself: the sides from corners {met[0]} and {met[1]} meet"
-        yield Fault(path, hazard.polygon, wrong, "corners in order around the polygon")
-    elif abs(twice_the_area) <= 2.0 * _LEAST_AREA:
-        yield Fault(path, hazard.polygon, "has no area", "corners that are not collinear")
-
-
-def _sides_that_meet(corners: FloatArray, sides: FloatArray) -> tuple[int, int] | None:
-    """Return two sides of a polygon that meet outside a common corner; None: there are none."""
-    one, other = _apart(len(corners))
-    a, d, b, e = corners[one], sides[one], corners[other], sides[other]
-    # each side's ends lie on both sides of the other one, or on it
-    across = np.sign(_cross(d, b - a)) * np.sign(_cross(d, b + e - a)) <= 0.0
-    across &= np.sign(_cross(e, a - b)) * np.sign(_cross(e, a + d - b)) <= 0.0
-    low, high = np.minimum(a, a + d), np.maximum(a, a + d)
-    across &= ((np.minimum(b, b + e) <= high) & (np.maximum(b, b + e) >= low)).all(axis=1)
-    found = np.flatnonzero(across)
-    if found.size:
-        return int(one[found[0]]), int(other[found[0]])
-    after = np.roll(sides, -1, axis=0)
-    back = np.flatnonzero((_cross(sides, after) == 0.0) & ((sides * after).sum(axis=1) < 0.0))
-    if back.size and len(corners) > 3:
-        return int(back[0]), (int(back[0]) + 1) % len(corners)
-    return None
 
 
 def _position_field(k: int, hazard: Hazard) -> tuple[str, object]:
@@ -170,9 +120,9 @@ def starts_and_goals_are_free(scenario: Scenario) -> Iterator[Fault]:
     """Check that no blocking hazard covers a start or a goal."""
     if not any(not HAZARDS[hazard.kind].drivable for hazard in scenario.hazard):
         return
-    tables = ground_tables(scenario)
-    for path, (x, y) in _stops(scenario):
-        k = hazard_at(tables.hazards, tables.corners, BLOCK, x, y)
+    rows, corners = hazard_rows(scenario.hazard), corners_of(scenario.hazard)
+    for path, (x, y) in all_stops(scenario):
+        k = hazard_at(rows, corners, BLOCK, x, y)
         if k >= 0:
             wrong = f"covers {path} = [{x:g}, {y:g}]"
             yield Fault(
@@ -182,30 +132,37 @@ def starts_and_goals_are_free(scenario: Scenario) -> Iterator[Fault]:
             )
 
 
-def _stops(scenario: Scenario) -> Iterator[tuple[str, tuple[float, float]]]:
-    """Yield all starts and goals of UGVs with their paths, in the order of the tables."""
-    for k, ugv in enumerate(scenario.ugv):
-        for n, point in enumerate(stops(ugv)):
-            yield f"ugv.{k}.goals.{n - 1}" if n else f"ugv.{k}.position", point
-
-
 def routes_are_open(scenario: Scenario) -> Iterator[Fault]:
-    """Check that a route over free tiles leads from each UGV's start to all its goals."""
-    if not any(not HAZARDS[hazard.kind].drivable for hazard in scenario.hazard):
+    """Check that a route over free tiles, clear of buildings, leads from each UGV's start to all its goals."""
+    blocking = any(not HAZARDS[hazard.kind].drivable for hazard in scenario.hazard)
+    if not (blocking or scenario.building):
         return
     from scipy.ndimage import label  # noqa: PLC0415 - it takes long to load, and few need it
 
-    tile, tiles = scenario.ground.tile, ground_tables(scenario).tiles
+    tile, tiles = scenario.ground.tile, ground_tables(scenario).closed
     regions, _ = label(tiles != BLOCK)
     allowed = f"a route of adjacent {tile:g} m tiles without hazards"
+    on_tile, what = "a blocking hazard touches its tile", "hazards"
+    if scenario.building:
+        allowed += (
+            f", more than building_clearance = {scenario.building_clearance:g} m from buildings"
+        )
+        on_tile, what = "a hazard or a building is too near to its tiles", "hazards or buildings"
     start = 0
-    for path, (x, y) in _stops(scenario):
+    for path, (x, y) in all_stops(scenario):
         region = regions[tile_index(y, tile, tiles.shape[0]), tile_index(x, tile, tiles.shape[1])]
         start = region if path.endswith("position") else start
-        if region == 0:
-            yield Fault(path, [x, y], "a blocking hazard touches its tile", allowed)
+        if region == 0 or (scenario.building and _touches_block(tiles, tile, x, y)):
+            yield Fault(path, [x, y], on_tile, allowed)
         elif region != start:
-            yield Fault(path, [x, y], "hazards block every route from the start", allowed)
+            yield Fault(path, [x, y], f"{what} block every route from the start", allowed)
+
+
+def _touches_block(tiles: TileArray, tile: float, x: float, y: float) -> bool:
+    """Return whether a point touches a blocked tile: on an edge it touches several, and a cautious UGV enters none."""
+    rows = slice(*span(y - TOUCH, y + TOUCH, tile, tiles.shape[0]))
+    columns = slice(*span(x - TOUCH, x + TOUCH, tile, tiles.shape[1]))
+    return bool((tiles[rows, columns] == BLOCK).any())
 
 
 def fields_are_possible(scenario: Scenario) -> Iterator[Fault]:
@@ -230,7 +187,7 @@ def fields_are_possible(scenario: Scenario) -> Iterator[Fault]:
 
 def fields_have_room(scenario: Scenario) -> Iterator[Fault]:
     """Check by one trial that all hazards of the fields fit; a run has as many as fit."""
-    placed = len(scenario.hazard)
+    placed = 0
     for k, field in enumerate(scenario.hazard_field):
         fit = _placed(scenario, scenario.hazard_field[: k + 1]) - placed
         if fit < field.count:
@@ -243,18 +200,22 @@ def fields_have_room(scenario: Scenario) -> Iterator[Fault]:
 
 
 def _placed(scenario: Scenario, fields: tuple[HazardField, ...]) -> int:
-    """Return the total number of hazards, including the hazards of these fields."""
-    tables = ground_tables(msgspec.structs.replace(scenario, hazard_field=fields))
+    """Return the number of hazards that these fields place in a trial."""
+    trial = msgspec.structs.replace(scenario, hazard_field=fields)
+    tables = ground_tables(trial)
     key = np.uint64(scenario.seed), np.uint64(0)  # any key: runs use others
     with np.errstate(
         over="ignore"
     ):  # unsigned random numbers wrap around, which the interpreter reports
-        return place_fields(scenario, tables, key)
+        if scenario.building_field:
+            buildings = run_buildings(trial, key)
+            tables = place_buildings(trial, tables, buildings, first_corner(trial, tables, 0))
+        return place_fields(trial, tables, key) - tables.buildings.stop
 
 
 def hazard_warnings(scenario: Scenario) -> Iterator[str]:
     """Warn of drivers that ignore hazards, and of straight legs that cross one."""
-    if not (scenario.hazard or scenario.hazard_field):
+    if not scenario.has_ground:
         return
     for k, ugv in enumerate(scenario.ugv):
         if DRIVERS[ugv.driver].avoids:
@@ -268,15 +229,18 @@ def hazard_warnings(scenario: Scenario) -> Iterator[str]:
 
 
 def _crossing_legs(scenario: Scenario, k: int) -> Iterator[str]:
-    """Describe each straight leg between goals of a UGV that crosses a hazard of the scenario."""
-    rows, corners = hazard_rows(scenario.hazard), corners_of(scenario.hazard)
-    places = stops(scenario.ugv[k])
-    for n, (start, goal) in enumerate(itertools.pairwise(places)):
-        for kind in (row.code for row in HAZARDS.values() if row.slows or not row.drivable):
-            hazard, _ = crosses_hazard(rows, corners, kind, start, goal)
-            if hazard >= 0:
-                begin = f"goals.{n - 1}" if n else "position"
-                yield f"its leg from {begin} to goals.{n} crosses hazard.{hazard}"
+    """Describe each straight leg between goals of a UGV that crosses a hazard or a building of the scenario."""
+    shapes = {
+        "hazard": (hazard_rows(scenario.hazard), corners_of(scenario.hazard)),
+        "building": (building_rows(scenario.building, 0), corners_of(scenario.building)),
+    }
+    kinds = [row.code for row in HAZARDS.values() if row.slows or not row.drivable]
+    legs = enumerate(itertools.pairwise(stops(scenario.ugv[k])))
+    for (n, (start, goal)), kind, name in itertools.product(legs, kinds, shapes):
+        crossed, _ = crosses_hazard(*shapes[name], kind, start, goal)
+        if crossed >= 0:
+            begin = f"goals.{n - 1}" if n else "position"
+            yield f"its leg from {begin} to goals.{n} crosses {name}.{crossed}"
 
 
 GROUND_CHECKS: tuple[Check, ...] = (

@@ -8,16 +8,29 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.messages.base import Vector
+from bus.messages.buildings import Building
 from bus.messages.ground import Hazard
-from bus.registry import DRIVERS, HAZARDS
+from bus.registry import HAZARDS
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray, records
-from sim.models.ground import CLEAR, TileArray, fill_tiles, tile_index, tiles_shape
+from sim.models.ground import (
+    CLEAR,
+    TileArray,
+    add_polygon,
+    fill_tiles,
+    tile_index,
+    tiles_shape,
+)
 from sim.models.hazard_fields import HazardFieldRow, place_hazards, work_array
-from sim.models.hazards import HazardRow
+from sim.models.hazards import BLOCK, HazardRow
 from sim.models.randomness import Key
-from sim.scenario.types import HazardField, Scenario, Ugv
+from sim.scenario.building_tables import building_rooms
+from sim.scenario.ground_types import HazardField
+from sim.scenario.stops import stops
+from sim.scenario.types import Scenario
 
+BLOCK_CORNERS = 4
+"""Corners of a building at a random position."""
 _WAY_BITS = 63
 """Number of routes with a bit of their own; further routes have hashes that cancel only with probability 2^-63."""
 
@@ -26,11 +39,19 @@ class GroundTables(NamedTuple):
     """Ground of a scenario, the same in each of its runs."""
 
     hazards: RecordArray
-    """Table of `HazardRow`, with empty rows at the end for the hazards of fields."""
+    """Table of `HazardRow`: the given hazards, the buildings, then the hazards of fields. Rows for what is at random
+    positions are empty.
+    """
+    buildings: range
+    """Rows of the buildings, which block like hazards of the kind `block`."""
     corners: FloatArray
-    """Corners of the polygons [m]. Shape (corners, 2)."""
+    """Corners of the polygons [m]; those of the buildings at random positions are zero. Shape (corners, 2)."""
     tiles: TileArray
-    """True states with the given hazards, without the hazards of fields. Shape (rows, columns)."""
+    """True states with the given hazards and buildings. Shape (rows, columns)."""
+    closed: TileArray
+    """States with the buildings enlarged by the largest `building_clearance`: ways lead around them. The same array as
+    `tiles` if nothing is enlarged. Shape (rows, columns).
+    """
     fields: RecordArray
     """Table of `HazardFieldRow`."""
     stops: FloatArray
@@ -43,23 +64,98 @@ class GroundTables(NamedTuple):
 
 def ground_tables(scenario: Scenario) -> GroundTables:
     """Return the tables of a valid scenario."""
+    rooms = sum(building_rooms(scenario))
     given = hazard_rows(scenario.hazard)
-    room = sum(field.count for field in scenario.hazard_field)
-    hazards = np.concatenate([given, np.zeros(room, dtype=given.dtype)])
-    corners = corners_of(scenario.hazard)
+    houses = building_rows(scenario.building, first=len(corners_of(scenario.hazard)))
+    room = rooms + sum(field.count for field in scenario.hazard_field)
+    hazards = np.concatenate([given, houses, np.zeros(room, dtype=given.dtype)])
+    buildings = range(len(given), len(given) + len(houses) + rooms)
+    corners = np.concatenate(
+        [
+            corners_of(scenario.hazard),
+            corners_of(scenario.building),
+            np.zeros((rooms * BLOCK_CORNERS, 2)),
+        ]
+    )
     shape = tiles_shape(scenario.area.width, scenario.area.height, scenario.ground.tile)
     tiles = np.full(shape, CLEAR, dtype=np.uint8)
-    if scenario.hazard:  # without hazards nothing is compiled for them
-        fill_tiles(given, corners, scenario.ground.tile, tiles)
+    if scenario.hazard or scenario.building:  # without hazards nothing is compiled for them
+        fill_tiles(hazards[: len(given) + len(houses)], corners, scenario.ground.tile, tiles)
     points = [point for ugv in scenario.ugv for point in stops(ugv)]
-    return GroundTables(
+    tables = GroundTables(
         hazards,
+        buildings,
         corners,
         tiles,
+        closed=tiles,
         fields=records(HazardFieldRow, [_field_row(field) for field in scenario.hazard_field]),
         stops=np.array(points, dtype=np.float64),
         ways=_ways(scenario, *tiles.shape),
     )
+    return tables._replace(closed=_closed_tiles(scenario, tables, scenario.building))
+
+
+def world_corners(scenario: Scenario, tables: GroundTables, worlds: int) -> FloatArray:
+    """Return the corners of all worlds: those of the tables, with random buildings of its own for each world."""
+    own = first_corner(scenario, tables, 1) - first_corner(scenario, tables, 0)
+    return np.concatenate([tables.corners, np.zeros(((worlds - 1) * own, 2))])
+
+
+def first_corner(scenario: Scenario, tables: GroundTables, world: int) -> int:
+    """Return the row of the first corner of a world's random buildings."""
+    own = sum(building_rooms(scenario)) * BLOCK_CORNERS
+    return len(tables.corners) + (world - 1) * own
+
+
+def world_tables(
+    tables: GroundTables, hazards: RecordArray, corners: FloatArray, tiles: TileArray
+) -> GroundTables:
+    """Return the tables of one run, with arrays of its own in the initial state."""
+    closed = tiles if tables.closed is tables.tiles else tables.closed.copy()
+    return tables._replace(hazards=hazards, corners=corners, tiles=tiles, closed=closed)
+
+
+def _closed_tiles(
+    scenario: Scenario, tables: GroundTables, buildings: tuple[Building, ...]
+) -> TileArray:
+    """Return the tiles with these buildings enlarged by the largest clearance."""
+    if not buildings or scenario.building_clearance == 0.0:
+        return tables.tiles
+    closed = tables.tiles.copy()
+    for building in buildings:
+        add_polygon(
+            np.array(building.corners),
+            scenario.building_clearance,
+            BLOCK,
+            scenario.ground.tile,
+            closed,
+        )
+    return closed
+
+
+def place_buildings(
+    scenario: Scenario, tables: GroundTables, buildings: tuple[Building, ...], first: int
+) -> GroundTables:
+    """Add the buildings at random positions of a run.
+
+    Args:
+        scenario: The scenario.
+        tables: Its tables, without hazards of fields; `hazards`, `corners` and `tiles` are changed.
+        buildings: All buildings of the run, see `run_buildings`.
+        first: Row of `corners` for the first corner of the buildings at random positions.
+
+    Returns:
+        The tables with their `closed` tiles.
+    """
+    drawn = buildings[len(scenario.building) :]
+    rows, corners = building_rows(drawn, first=first), corners_of(drawn)
+    begin = tables.buildings.start + len(scenario.building)
+    tables.hazards[begin : tables.buildings.stop] = 0
+    tables.hazards[begin : begin + len(rows)] = rows
+    tables.corners[first : first + len(corners)] = corners
+    end = begin + len(rows)
+    fill_tiles(tables.hazards[:end], tables.corners, scenario.ground.tile, tables.tiles)
+    return tables._replace(closed=_closed_tiles(scenario, tables, buildings))
 
 
 def place_fields(scenario: Scenario, tables: GroundTables, key: Key) -> int:
@@ -67,13 +163,13 @@ def place_fields(scenario: Scenario, tables: GroundTables, key: Key) -> int:
 
     Args:
         scenario: The scenario.
-        tables: Its tables, without hazards of fields; `hazards` and `tiles` are changed.
+        tables: Its tables, without hazards of fields; `hazards`, `tiles` and `closed` are changed.
         key: Key of the random numbers.
 
     Returns:
-        Total number of hazards.
+        Row of `hazards` after the last hazard.
     """
-    return place_hazards(
+    behind = place_hazards(
         tables.fields,
         tables.stops,
         tables.ways,
@@ -81,10 +177,13 @@ def place_fields(scenario: Scenario, tables: GroundTables, key: Key) -> int:
         scenario.ground.tile,
         key,
         tables.hazards,
-        len(scenario.hazard),
-        tables.tiles,
-        work_array(*tables.tiles.shape),
+        tables.buildings.stop,
+        tables.closed,
+        work_array(*tables.closed.shape),
     )
+    if tables.closed is not tables.tiles:
+        fill_tiles(tables.hazards, tables.corners, scenario.ground.tile, tables.tiles)
+    return behind
 
 
 def _field_row(field: HazardField) -> HazardFieldRow:
@@ -111,9 +210,9 @@ def _way_bits(way: int) -> int:
     return int.from_bytes(digest, "little", signed=True)
 
 
-def corners_of(hazards: tuple[Hazard, ...]) -> FloatArray:
+def corners_of(shapes: tuple[Hazard, ...] | tuple[Building, ...]) -> FloatArray:
     """Return the corners of all polygons, concatenated [m]. Shape (corners, 2)."""
-    found = [corner for hazard in hazards for corner in hazard.corners]
+    found: list[Vector] = [corner for shape in shapes for corner in shape.corners]
     return np.array(found, dtype=np.float64).reshape(-1, 2)
 
 
@@ -131,8 +230,14 @@ def _rows(hazards: tuple[Hazard, ...]) -> Iterator[HazardRow]:
         first += count
 
 
-def stops(ugv: Ugv) -> tuple[Vector, ...]:
-    """Return the start of a UGV, and its goals if its driver uses them [m]."""
-    driver = DRIVERS[ugv.driver]
-    roams = driver.provided and driver.wants != "goals"
-    return (ugv.position, *(() if roams else ugv.goals))
+def building_rows(buildings: tuple[Building, ...], first: int) -> RecordArray:
+    """Return a table of `HazardRow`, one row per building.
+
+    Args:
+        buildings: The buildings.
+        first: Row of their first corner in the table of corners.
+    """
+    blocks = tuple(Hazard(kind="block", polygon=building.polygon) for building in buildings)
+    rows = hazard_rows(blocks)
+    rows["first"] += first
+    return rows

@@ -10,32 +10,44 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from bus.messages.base import Line, Name, NonNegative, Positive, Text, Vector
-from bus.messages.ground import DEFAULT_SHARE, Hazard, SpeedShare, kept_share
+from bus.messages.base import Line, Name, NonNegative, Positive, Share, Text, Vector
+from bus.messages.buildings import (
+    MOST_BUILDINGS,
+    Altitude,
+    AltitudeLimits,
+    Building,
+    Camera,
+    Height,
+)
+from bus.messages.ground import DEFAULT_SHARE, Hazard
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Area, Estimator, Law, Origin, Region, ScriptStep, Sensor
-from bus.registry import CAUTIONS, DEFAULT_DRIVER, HAZARDS, TOUCHES
+from bus.registry import CAUTIONS, DEFAULT_DRIVER, HAZARDS
 from sim.channel.recorded import RecordedLink
 from sim.models.inner_loop import InnerLoop
 from sim.models.vehicles import raw_switching_radius
+from sim.scenario.base import Table
+from sim.scenario.ground_types import (
+    MOST_HAZARDS,
+    AltitudeLaw,
+    BuildingField,
+    Buildings,
+    Ground,
+    HazardField,
+)
 
-Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 Bound = Annotated[float, Meta(gt=0.0)]
 """Bound that may be infinite (TOML: inf)."""
 
 
-class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base class of the scenario's tables."""
-
-
-class Visibility(_Table, frozen=True, kw_only=True):
+class Visibility(Table, frozen=True, kw_only=True):
     """Visibility constraint, eq. (5)."""
 
     radius: Positive = 4.75
     """Visibility radius r_v [m]."""
 
 
-class Coverage(_Table, frozen=True, kw_only=True):
+class Coverage(Table, frozen=True, kw_only=True):
     """Desired coverage and initially covered ground."""
 
     desired: Positive = 2.0
@@ -44,7 +56,7 @@ class Coverage(_Table, frozen=True, kw_only=True):
     """Rectangles that are covered from the start."""
 
 
-class Detections(_Table, frozen=True, kw_only=True):
+class Detections(Table, frozen=True, kw_only=True):
     """Detector of the UGV: always succeeds within r_v, less often beyond, never beyond the sensor's range."""
 
     noise: NonNegative = 0.0
@@ -57,7 +69,7 @@ class Detections(_Table, frozen=True, kw_only=True):
     """Share of attempts that fail at random."""
 
 
-class Wind(_Table, frozen=True, kw_only=True):
+class Wind(Table, frozen=True, kw_only=True):
     """Wind, as an acceleration of each UAV; no vehicle measures it."""
 
     mean: Vector = (0.0, 0.0)
@@ -76,49 +88,7 @@ class Wind(_Table, frozen=True, kw_only=True):
         return most if self.limit is None or most == 0.0 else self.limit
 
 
-MOST_HAZARDS = 10_000
-
-
-class HazardField(_Table, frozen=True, kw_only=True):
-    """Discs at random positions, new with each seed; they never block the last path from a UGV's start to its goals."""
-
-    kind: Name
-    """Kind of the hazards, a row of `bus.registry.HAZARDS`."""
-    count: Annotated[int, Meta(ge=1, le=MOST_HAZARDS)]
-    """Number of hazards."""
-    radius: tuple[Positive, Positive]
-    """Smallest and largest radius [m]."""
-    speed_share: SpeedShare | None = None
-    """Share of its maximum speed that a vehicle keeps on a rough hazard; default: 0.4."""
-    clearance: NonNegative = 1.0
-    """Smallest distance from the starts and goals of all UGVs [m]."""
-
-    @property
-    def kept_share(self) -> float:
-        """Return the share of its maximum speed that a vehicle keeps on these hazards."""
-        return kept_share(self.kind, self.speed_share)
-
-
-class Ground(_Table, frozen=True, kw_only=True):
-    """Tiles and sensors of the ground; without effect if there are no hazards."""
-
-    tile: Positive = 0.5
-    """Side of a tile [m]."""
-    rate: Positive = 4.0
-    """Ground scans of each UAV per second [1/s]; the period must be a whole number of ticks."""
-    miss: Share = 0.0
-    """Probability that a tile with a hazard is detected as clear."""
-    false_alarm: Share = 0.0
-    """Probability that a clear tile is detected as blocked."""
-    sensing_range: NonNegative = 0.75
-    """Range of a UGV's own sensor, which is exact [m]."""
-    touch: Name = TOUCHES[0]
-    """Effect of a blocking hazard on a UGV that touches it: `stuck`, or `damage` without a stop."""
-    map_update_rate: NonNegative = 4.0
-    """Blocks of 8 x 8 tiles that a UAV sends to its UGV per second [1/s]."""
-
-
-class Uav(_Table, frozen=True, kw_only=True):
+class Uav(Table, frozen=True, kw_only=True):
     """UAV and its initial state."""
 
     name: Name = "uav_0"
@@ -139,9 +109,21 @@ class Uav(_Table, frozen=True, kw_only=True):
     """Time constant of this error [s]."""
     tracking: InnerLoop = InnerLoop()
     """Inner loop, which tracks the reference state against wind and position errors."""
+    initial_altitude: Altitude | None = None
+    """Initial altitude above the ground [m]; default: none, the UAV flies in the plane."""
+    min_altitude: Altitude | None = None
+    """Lowest altitude [m]; default: 1 m."""
+    max_altitude: Altitude | None = None
+    """Highest altitude [m]; default: 120 m."""
+    max_climb_rate: Positive | None = None
+    """Largest rate of climb and of descent [m/s]; default: 1 m/s."""
+    max_vertical_acceleration: Positive | None = None
+    """Largest vertical acceleration [m/s²]; default: 1 m/s²."""
+    vertical_clearance: NonNegative | None = None
+    """Smallest height above the roof of a building while over it [m]; default: 1 m."""
 
 
-class Ugv(_Table, frozen=True, kw_only=True):
+class Ugv(Table, frozen=True, kw_only=True):
     """UGV, its initial state and its task."""
 
     name: Name = "ugv_0"
@@ -168,13 +150,19 @@ class Ugv(_Table, frozen=True, kw_only=True):
     """Instead of a script: trajectory.csv of an earlier run, whose trajectory of this UGV is repeated."""
     caution: Name = CAUTIONS[0]
     """Behaviour towards unknown ground: `cautious`, slow enough to stop before it, or `bold`, at full speed."""
+    marker_height: NonNegative = 0.3
+    """Height of its marker, which cameras detect, above the ground [m]."""
+    building_clearance: NonNegative = 0.0
+    """Smallest distance from every building that it declares to keep [m]; 0: none. The largest of all UGVs must leave
+    every UGV a way to its goals. The cautious driver `navigate` keeps it if the buildings are known.
+    """
 
 
 DEFAULT_AGE = 1.0
 """Default of `max_measurement_age` [s]."""
 
 
-class Certificate(_Table, frozen=True, kw_only=True):
+class Certificate(Table, frozen=True, kw_only=True):
     """Bounds declared to the UAVs' safety filters. Ticks at which the network exceeds them are not certified."""
 
     max_measurement_error: NonNegative | None = None
@@ -193,9 +181,11 @@ class Certificate(_Table, frozen=True, kw_only=True):
     """Largest tracking error [m]; default: the bound that follows from wind, position_error and tracking, 0 without a
     disturbance.
     """
+    max_building_height: Height | None = None
+    """Largest height of a building [m]; default: the highest possible one of the scenario."""
 
 
-class Custom(_Table, frozen=True, kw_only=True):
+class Custom(Table, frozen=True, kw_only=True):
     """Functions of the user, as `module:function`. Each is loaded by its vehicle's process only and is never sent."""
 
     weighting: Text = ""
@@ -209,7 +199,7 @@ class Custom(_Table, frozen=True, kw_only=True):
     """
 
 
-class _Links(_Table, frozen=True, kw_only=True):
+class _Links(Table, frozen=True, kw_only=True):
     """Settings of each kind of link."""
 
     detections: LinkSettings = LinkSettings()
@@ -259,7 +249,7 @@ class LinkTable(_Links, frozen=True, kw_only=True):
         return msgspec.structs.replace(self, only=rows if new in rows else (*rows, new))
 
 
-class Run(_Table, frozen=True, kw_only=True):
+class Run(Table, frozen=True, kw_only=True):
     """Pace and timeouts of a run over processes; environments and runs in one process do not use them."""
 
     realtime: Annotated[float, Meta(ge=0.0, le=1e4)] = 0.0
@@ -277,7 +267,7 @@ NO_UAV = "no UAV"
 """Title of a scenario without UAVs, in place of a law."""
 
 
-class Scenario(_Table, frozen=True, kw_only=True):
+class Scenario(Table, frozen=True, kw_only=True):
     """One run. SI units; the origin is the lower left corner of the area."""
 
     name: Text = ""
@@ -324,6 +314,16 @@ class Scenario(_Table, frozen=True, kw_only=True):
     """Hazards at given positions."""
     hazard_field: tuple[HazardField, ...] = ()
     """Hazards at random positions."""
+    buildings: Buildings = Buildings()
+    """Map of the buildings."""
+    building: Annotated[tuple[Building, ...], Meta(max_length=MOST_BUILDINGS)] = ()
+    """Buildings at given positions."""
+    building_field: tuple[BuildingField, ...] = ()
+    """Buildings at random positions."""
+    camera: Camera = Camera()
+    """Camera of the UAVs that have an altitude."""
+    altitude: AltitudeLaw = AltitudeLaw()
+    """Altitude of the UAVs that have one."""
     uav: tuple[Uav, ...] = ()
     """UAVs; none: the UGVs drive without an escort."""
     ugv: Annotated[tuple[Ugv, ...], Meta(min_length=1)]
@@ -358,8 +358,24 @@ class Scenario(_Table, frozen=True, kw_only=True):
 
     @property
     def has_ground(self) -> bool:
-        """True if the scenario has hazards, or fields of hazards."""
-        return bool(self.hazard or self.hazard_field)
+        """True if the scenario has hazards or buildings, at given or at random positions."""
+        return bool(self.hazard or self.hazard_field or self.has_buildings)
+
+    @property
+    def has_buildings(self) -> bool:
+        """True if the scenario has buildings, or fields of buildings."""
+        return bool(self.building or self.building_field)
+
+    @property
+    def only_known_buildings(self) -> bool:
+        """True if the only hazards are buildings, and the vehicles have the map."""
+        random = bool(self.hazard or self.hazard_field)
+        return self.has_buildings and self.buildings.known and not random
+
+    @property
+    def building_clearance(self) -> float:
+        """Return the largest `building_clearance` of all UGVs [m]."""
+        return max(ugv.building_clearance for ugv in self.ugv)
 
     @property
     def ground_period(self) -> int:
@@ -371,3 +387,12 @@ def switching_radius(scenario: Scenario, uav: Uav, ugv: Ugv) -> float:
     """Return the switching radius r_s of (18) [m], of either sign."""
     bounds = uav.max_speed, ugv.max_speed, uav.max_acceleration
     return float(raw_switching_radius(scenario.visibility.radius, *bounds))
+
+
+def altitude_limits(scenario: Scenario, uav: Uav) -> AltitudeLimits | None:
+    """Return a UAV's vertical bounds in the form of a message; None: it flies in the plane."""
+    if uav.initial_altitude is None:
+        return None
+    given = {name: getattr(uav, name, None) for name in AltitudeLimits.__struct_fields__}
+    known = {name: value for name, value in given.items() if value is not None}
+    return AltitudeLimits(**known, law=scenario.altitude.law)

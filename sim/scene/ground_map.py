@@ -8,7 +8,8 @@ import numpy as np
 from bus.messages.base import Vector
 from bus.messages.ground import GroundMap, Hazard
 from bus.registry import HAZARDS
-from sim.models.ground import UNSEEN
+from sim.engine.ground_state import GroundState
+from sim.models.ground import CLEAR, UNSEEN, TileArray, fill_tiles
 from sim.models.hazards import FOUND
 from sim.world import World
 
@@ -21,21 +22,50 @@ _KINDS = {row.code: name for name, row in HAZARDS.items()}
 
 
 def hazards_of(world: World) -> tuple[Hazard, ...]:
-    """Return the hazards of a world: the scenario's, and the random ones of this run."""
+    """Return the hazards of a world: the scenario's, the buildings as blocks, and the random ones of this run."""
     ground = world.ground
     if ground is None:
         return ()
-    given = world.scenario.hazard
-    drawn = ground.hazards[0, len(given) :]
-    return *given, *(
-        Hazard(
-            kind=_KINDS[int(row["kind"])],
-            center=(float(row["x"]), float(row["y"])),
-            radius=float(row["radius"]),
-            speed_share=float(row["share"]),
-        )
-        for row in drawn[drawn["kind"] > 0]
+    given, rows, end = world.scenario.hazard, ground.hazards[0], _buildings(ground).stop
+    buildings, drawn = rows[_buildings(ground)], rows[end:]
+    blocks = (
+        ground.corners[row["first"] : row["first"] + row["corners"]].tolist()
+        for row in buildings[buildings["kind"] > 0]
     )
+    houses = (Hazard(kind="block", polygon=tuple((x, y) for x, y in block)) for block in blocks)
+    return (
+        *given,
+        *houses,
+        *(
+            Hazard(
+                kind=_KINDS[int(row["kind"])],
+                center=(float(row["x"]), float(row["y"])),
+                radius=float(row["radius"]),
+                speed_share=float(row["share"]),
+            )
+            for row in drawn[drawn["kind"] > 0]
+        ),
+    )
+
+
+def _buildings(ground: GroundState) -> slice:
+    """Return the rows of the buildings among the hazards."""
+    parameters = ground.parameters[0]
+    return slice(int(parameters["first_building"]), int(parameters["end_building"]))
+
+
+def _mapped_tiles(world: World, ground: GroundState) -> TileArray:
+    """Return the state of each tile as the map of the buildings shows it; UNSEEN: it does not."""
+    tiles: TileArray = ground.tiles[0].copy()
+    if ground.parameters["mapped"][0]:
+        return tiles
+    tiles[...] = UNSEEN
+    if world.scenario.has_buildings and world.scenario.buildings.known:
+        fill_tiles(
+            ground.hazards[0, _buildings(ground)], ground.corners, world.scenario.ground.tile, tiles
+        )
+        tiles[tiles == CLEAR] = UNSEEN
+    return tiles
 
 
 def _ahead(route: tuple[Vector, ...], place: Vector) -> tuple[Vector, ...]:
@@ -64,7 +94,7 @@ def ground_map(
     if ground is None:
         return None
     rows, columns = ground.tiles.shape[1:]
-    tiles = np.zeros((rows, columns), np.uint8)
+    tiles = _mapped_tiles(world, ground)
     for n, v in enumerate(ground.ugvs.tolist()):
         sensed = ground.known[0, v]
         own = np.where(sensed == UNSEEN, ground.radioed[0, n], sensed)

@@ -1,0 +1,259 @@
+"""Buildings in scenarios: the shipped ones, random towns, and what vehicles are briefed on."""
+
+import itertools
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import label
+
+from bus.messages.buildings import AltitudeLimits, Building, Camera
+from bus.messages.ground import Hazard
+from properties import PROPERTY
+from refusals import refusal
+from sim.engine.briefing import briefing
+from sim.models.ground import CLEAR, add_polygon, fill_tiles, tile_index, tiles_shape
+from sim.models.hazards import BLOCK
+from sim.scenario.building_tables import max_building_height
+from sim.scenario.checks import check_scenario
+from sim.scenario.ground_tables import building_rows, corners_of
+from sim.scenario.loading import load_scenario
+from sim.scenario.resolved import as_toml, read_resolved
+from sim.scenario.types import BuildingField, Ground, HazardField, Scenario, Uav, Ugv
+from sim.world import World
+from towns import UNKNOWN_MAP, distances, drawn, scenario
+
+SECRET = bytes(range(16)).hex()
+PLACES = st.tuples(st.floats(0.5, 39.5), st.floats(0.5, 39.5))
+
+
+# The shipped ones
+
+
+@pytest.mark.parametrize("name", ["town", "rescue-town"])
+def test_shipped_towns_leave_four_metres_of_sight(name: str) -> None:
+    told = briefing(load_scenario(name), "uav_0", 7)
+    z, h_m, h = told.altitude.initial_altitude, told.marker_height, told.max_building_height
+    occlusion = told.building_clearance * (z - h_m) / (h - h_m)
+    seen = (z - h_m) * math.tan(told.camera.half_angle)
+    assert min(told.visibility_radius, seen, occlusion) >= 4.0
+    assert len(told.buildings) > 3
+
+
+def test_walls_of_the_shipped_courtyard_hide_the_ugv() -> None:
+    told = briefing(load_scenario("courtyard"), "uav_0", 7)
+    z, h_m, h = told.altitude.initial_altitude, told.marker_height, told.max_building_height
+    assert told.building_clearance * (z - h_m) / (h - h_m) < 0.5 * told.visibility_radius
+    (courtyard,) = told.buildings
+    assert distances(told.buildings, 20.0, 20.0) == [6.0]  # a goal inside
+    assert len(courtyard.corners) == 12
+
+
+def test_buildings_survive_a_resolved_file(tmp_path) -> None:
+    for name in ("town", "courtyard"):
+        file = tmp_path / "any.toml"
+        file.write_text(as_toml(load_scenario(name)), encoding="utf-8")
+        assert read_resolved(file) == load_scenario(name)
+
+
+# Refusals beside the table of tests/test_scenario_refusals.py
+
+
+def test_ten_thousand_buildings_are_refused_in_one_line() -> None:
+    sides = range(100)
+    many = [
+        {"polygon": [[x, y], [x + 0.2, y], [x, y + 0.2]], "height": 1.0}
+        for x, y in itertools.product(sides, sides)
+    ]
+    line = refusal(overrides={"building": many})
+    assert line.startswith("escort: building = [")
+    assert line.endswith("out of bounds; allowed: a list of length <= 1000")
+
+
+def a_ring(x: float, y: float, corners: int) -> dict[str, Any]:
+    turns = [2.0 * math.pi * n / corners for n in range(corners)]
+    return {"polygon": [[x + math.cos(turn), y + math.sin(turn)] for turn in turns], "height": 9.0}
+
+
+def test_a_thousand_buildings_fit_into_a_briefing_and_no_more() -> None:
+    area = {"width": 410.0, "height": 300.0, "cell": 0.5}
+    places = list(itertools.product(range(5, 405, 10), range(15, 265, 10)))
+    given = {"area": area, "uav": [], "building": [a_ring(x, y, 10) for x, y in places]}
+    loaded = load_scenario("escort", overrides=given)
+    assert len(loaded.building) == 1000
+    assert len(msgspec.json.encode(briefing(loaded, "ugv_0", 0))) < 1 << 19
+    given["building"][7] = a_ring(*places[7], 11)
+    line = refusal(overrides=given)
+    assert line.endswith("makes 10,001 corners in total; allowed: up to 10,000 in total")
+
+
+# Random towns
+
+
+@pytest.fixture(scope="module")
+def town() -> Scenario:
+    return load_scenario("town")
+
+
+def test_a_town_is_a_function_of_seed_and_secret(town: Scenario) -> None:
+    assert drawn(town, 3) == drawn(town, 3)
+    others = {drawn(town, 3), drawn(town, 4), drawn(town, 3, SECRET)}
+    assert len(others) == 3
+    fast = msgspec.structs.replace(town, dt=0.1, hazard=(), title="another")
+    assert drawn(fast, 3) == drawn(town, 3)
+
+
+def test_towns_keep_sides_heights_streets_and_share() -> None:
+    field = BuildingField(block=(3.0, 5.0), street=4.0, height=(3.0, 9.0), share=0.7)
+    one = scenario(Ugv(position=(1.0, 1.0)), building=(), building_field=(field,))
+    built, possible = 0, 0
+    for seed in range(60):
+        boxes = np.array([[*low, *high] for low, high in (one.bounds for one in drawn(one, seed))])
+        sides = boxes[:, 2:] - boxes[:, :2]
+        assert sides.min() > 3.0 - 1e-9
+        assert sides.max() < 5.0 + 1e-9
+        assert all(3.0 <= building.height <= 9.0 for building in drawn(one, seed))
+        assert boxes.min() >= 4.0 - 1e-9
+        assert boxes.max() <= 36.0 + 1e-9
+        left, low, right, high = boxes.T
+        gap = np.maximum(left[:, None] - right, low[:, None] - high)
+        gap = np.maximum(gap, gap.T) + np.diag(np.full(len(boxes), np.inf))
+        assert gap.min() > 4.0 - 1e-9
+        built += len(boxes)
+        possible += len(set(left)) * len(set(low))
+    assert built / possible == pytest.approx(0.7, abs=0.05)
+
+
+def open_and_clear(one: Scenario, buildings: tuple[Building, ...], tile: float) -> None:
+    """Every goal can be reached over tiles that keep the clearance, and no stop is near a building."""
+    least = max([one.building_clearance, *(field.clearance for field in one.building_field)])
+    points = [*one.ugv[0].goals, one.ugv[0].position, *(uav.position for uav in one.uav)]
+    for x, y in points:
+        assert all(away >= least - 1e-9 for away in distances(buildings[len(one.building) :], x, y))
+    tiles = np.full(tiles_shape(one.area.width, one.area.height, tile), CLEAR, np.uint8)
+    fill_tiles(building_rows(buildings, first=0), corners_of(buildings), tile, tiles)
+    for building in buildings:
+        add_polygon(np.array(building.corners), one.building_clearance, BLOCK, tile, tiles)
+    regions, _ = label(tiles != BLOCK)
+    found = {
+        regions[tile_index(y, tile, len(tiles)), tile_index(x, tile, len(tiles[0]))]
+        for x, y in points[: len(one.ugv[0].goals) + 1]
+    }
+    assert len(found) == 1
+    assert 0 not in found
+
+
+def test_towns_of_200_seeds_leave_a_way_and_the_clearance(town: Scenario) -> None:
+    dense = msgspec.structs.replace(town.building_field[0], share=1.0, clearance=2.5)
+    for field in (*town.building_field, dense):
+        one = msgspec.structs.replace(town, building_field=(field,))
+        for seed in range(200):
+            open_and_clear(one, drawn(one, seed), one.ground.tile)
+
+
+@given(
+    st.integers(0, 2**32),
+    st.lists(PLACES, min_size=2, max_size=5),
+    st.floats(0.0, 2.0),
+    st.sampled_from([0.25, 0.4, 0.5, 1.0]),
+    st.floats(0.0, 3.0),
+)
+@settings(PROPERTY, max_examples=60)
+def test_narrow_streets_around_given_walls_stay_open(seed, places, clearance, tile, extra):
+    """Given buildings leave one gap; two fields fill the rest as far as they may."""
+    start, *goals = places
+    ugv = Ugv(position=start, goals=tuple(goals), building_clearance=clearance)
+    street = 2.0 * clearance + 3.0 * tile + extra
+    field = BuildingField(block=(1.0, 6.0), street=street, height=(3.0, 5.0), share=1.0)
+    wall = ((19.0, 0.0), (21.0, 0.0), (21.0, 34.0), (19.0, 34.0))
+    one = Scenario(
+        ugv=(ugv,),
+        building=(Building(polygon=wall, height=4.0),),
+        building_field=(field, msgspec.structs.replace(field, share=0.9)),
+        ground=Ground(tile=tile),
+    )
+    if min(distances(one.building, x, y)[0] for x, y in places) < clearance + 1.5 * tile:
+        return
+    open_and_clear(one, drawn(one, seed), tile)
+
+
+def test_blocks_stay_away_from_given_hazards_and_starts_of_uavs() -> None:
+    field = BuildingField(block=(3.0, 5.0), street=4.0, height=(3.0, 9.0), share=1.0, clearance=3.0)
+    disc = Hazard(kind="block", center=(30.0, 30.0), radius=1.0)
+    uav = Uav(position=(9.0, 9.0), initial_altitude=14.0)
+    ugv = Ugv(position=(9.0, 10.0))
+    one = scenario(ugv, uav=(uav,), building=(), building_field=(field,), hazard=(disc,))
+    for seed in range(30):
+        buildings = drawn(one, seed)
+        assert min(distances(buildings, 30.0, 30.0)) >= 5.0 - 1e-9
+        assert min(distances(buildings, 9.0, 9.0)) >= 3.0
+
+
+def test_hazards_among_buildings_leave_a_way_outside_the_clearance(town: Scenario) -> None:
+    mines = HazardField(kind="block", count=40, radius=(0.3, 0.6))
+    one = check_scenario(msgspec.structs.replace(town, hazard_field=(mines,)))
+    for seed in range(10):
+        world = World(one, seed)
+        closed = world.tiles.copy()
+        for building in drawn(one, seed):
+            add_polygon(np.array(building.corners), 1.5, BLOCK, 0.5, closed)
+        regions, _ = label(closed != BLOCK)
+        stops = np.array([one.ugv[0].position, *one.ugv[0].goals])
+        found = {int(regions[row, column]) for column, row in (stops // 0.5).astype(int)}
+        assert len(found) == 1
+        assert 0 not in found
+        assert (world.ground.hazards["kind"][0, -40:] == BLOCK).all()
+
+
+# What vehicles are briefed on
+
+
+def test_altitudes_and_bounds_are_in_the_briefing_of_a_uav() -> None:
+    one = load_scenario("town", overrides={"ugv.0.marker_height": 0.5, "altitude.law": "best"})
+    told = briefing(one, "uav_0", 1)
+    assert told.altitude == AltitudeLimits(
+        initial_altitude=14.0, min_altitude=12.0, max_altitude=16.0, law="best"
+    )
+    assert told.camera == Camera() == one.camera
+    assert (told.marker_height, told.building_clearance) == (0.5, 1.5)
+    assert told.max_building_height == max_building_height(one) == 5.0
+    declared = load_scenario("town", overrides={"certificate.max_building_height": 7.0})
+    assert briefing(declared, "uav_0", 1).max_building_height == 7.0
+    assert briefing(one, "ugv_0", 1).ground.building_clearance == 1.5
+
+
+def test_planar_uavs_are_told_of_no_altitude() -> None:
+    told = briefing(load_scenario("minefield"), "uav_0", 1)
+    assert (told.altitude, told.camera, told.max_building_height) == (None, None, None)
+    assert told.buildings == ()
+
+
+@pytest.mark.parametrize("secret", ["", SECRET])
+def test_all_vehicles_have_the_map_of_their_run_or_none(town: Scenario, secret: str) -> None:
+    unknown = load_scenario("town", overrides=UNKNOWN_MAP)
+    for name in ("uav_0", "ugv_0"):
+        assert briefing(town, name, 5, secret).buildings == drawn(town, 5, secret)
+        hidden = briefing(unknown, name, 5, secret)
+        assert hidden.buildings == ()
+        assert b"polygon" not in msgspec.json.encode(hidden)
+    assert not briefing(unknown, "ugv_0", 5).ground.only_buildings
+    assert briefing(unknown, "uav_0", 5).max_building_height == 5.0
+
+
+def test_map_reveals_neither_random_hazards_nor_goals(town: Scenario) -> None:
+    mines = HazardField(kind="block", count=9, radius=(0.3, 0.6))
+    mined = check_scenario(msgspec.structs.replace(town, hazard_field=(mines,)))
+    told, other = (briefing(one, "uav_0", 5) for one in (town, mined))
+    assert told == other
+    assert not briefing(mined, "ugv_0", 5).ground.only_buildings
+    world = World(mined, 5)
+    text = msgspec.json.encode(briefing(mined, "ugv_0", 5)).decode()
+    for row in world.ground.hazards[0][world.ground.hazards["radius"][0] > 0.0]:
+        assert repr(float(row["x"])) not in text
+    (ugv,) = town.ugv  # a goal in a street moves no building
+    moved = msgspec.structs.replace(ugv, goals=(*ugv.goals[:1], (2.0, 37.0)))
+    assert briefing(msgspec.structs.replace(town, ugv=(moved,)), "uav_0", 5) == told

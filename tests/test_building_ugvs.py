@@ -1,0 +1,204 @@
+"""UGVs among buildings: the tiles of their map, contact, and the distance that a cautious UGV keeps."""
+
+import itertools
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agents.drivers.compiled import briefed_grid, update_grid
+from bus.messages.buildings import Building
+from bus.messages.ground import Hazard, MapUpdate, TileReport
+from bus.messages.vehicle import UgvObservation
+from flights import flown_in_both
+from outrider.envs.closed_loop import ClosedLoop
+from properties import PROPERTY
+from sim.engine.briefing import briefing
+from sim.models.ground import CLEAR, UNSEEN, add_polygon
+from sim.models.hazards import BLOCK
+from sim.scenario.checks import scenario_warnings
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Ground, Scenario, Ugv
+from sim.scene.ground_map import KNOWN, UNKNOWN, ground_map
+from sim.world import World
+from towns import HOUSE, PASSING, UNKNOWN_MAP, distances, drawn, scenario
+from worlds import raw
+
+PLACES = st.tuples(st.floats(0.5, 39.5), st.floats(0.5, 39.5))
+
+
+@pytest.fixture(scope="module")
+def town() -> Scenario:
+    return load_scenario("town")
+
+
+def pushed(one: Scenario, u_x: float, u_y: float, ticks: int = 400) -> World:
+    """The world after its only UGV has driven under a constant command."""
+    world = World(one, 1)
+    for _ in range(ticks):
+        world.step(np.array([[u_x, u_y]]))
+    return world
+
+
+def near_building(one: Scenario, seeds: int = 1) -> list[int]:
+    """The simulator's counter after the flight with each seed."""
+    loop = ClosedLoop(one, seeds, threads=1, end_on_sight_lost=False)
+    loop.begin(list(range(seeds)))
+    loop.fly()
+    missions = [loop.mission(k) for k in range(seeds)]
+    loop.close()
+    assert all(one.arrived for one in missions)
+    assert sum(one.ground_certificate_broken for one in missions) == 0
+    return [one.guarantees["ugv_0"].near_building for one in missions]
+
+
+# Tiles near a building
+
+CORNERS = st.lists(st.floats(0.3, 2.5), min_size=3, max_size=8)
+
+
+@given(CORNERS, st.floats(0.0, 6.3), PLACES, st.floats(0.0, 2.0))
+@settings(PROPERTY, max_examples=40)
+def test_tiles_near_a_polygon_are_those_within_the_distance(radii, turn, place, reach):
+    angles = [turn + 2.0 * math.pi * n / len(radii) for n in range(len(radii))]
+    x, y = 3.0 + place[0] / 20.0, 3.0 + place[1] / 20.0
+    shape = tuple(
+        (x + r * math.cos(a), y + r * math.sin(a)) for r, a in zip(radii, angles, strict=True)
+    )
+    tiles = np.full((16, 16), CLEAR, np.uint8)
+    add_polygon(np.array(shape), reach, BLOCK, 0.5, tiles)
+    building = (Building(polygon=shape, height=1.0),)
+    grid = np.linspace(0.0, 0.5, 6)
+    for row, column in itertools.product(range(16), range(16)):
+        points = itertools.product(column * 0.5 + grid, row * 0.5 + grid)
+        nearest = min(distances(building, *point)[0] for point in points)
+        if tiles[row, column] == CLEAR:
+            assert nearest > reach
+        else:
+            assert nearest <= reach + 0.5 * math.hypot(0.1, 0.1)
+
+
+# The map of a UGV
+
+
+def test_ugv_knows_all_tiles_if_buildings_are_the_only_hazards() -> None:
+    find = Hazard(kind="find", center=(30.0, 30.0), radius=0.3)
+    for one, others in ((scenario(), CLEAR), (scenario(hazard=(find,)), UNSEEN)):
+        grid = briefed_grid(briefing(one, "ugv_0", 0))
+        rows, columns = np.nonzero(grid.tiles == BLOCK)
+        # 1.5 m more than the house on each side; tiles are closed, so that one more row is touched
+        assert (rows.min(), rows.max(), columns.min(), columns.max()) == (16, 31, 16, 31)
+        assert set(np.unique(grid.tiles)) == {BLOCK, others}
+        assert grid.tiles[16, 16] == others  # rounded at the corners
+    unknown = scenario(buildings={"known": False})
+    assert (briefed_grid(briefing(unknown, "ugv_0", 0)).tiles == UNSEEN).all()
+
+
+def test_no_report_opens_a_tile_near_a_known_building() -> None:
+    grid = briefed_grid(briefing(scenario(), "ugv_0", 0))
+    before = grid.tiles.copy()
+    reports = (TileReport(20, 17, "."), TileReport(0, 0, "."))
+    block = MapUpdate(column=2, row=2, tiles="." * 64)
+    alarm = MapUpdate(column=0, row=0, tiles="#" * 64)
+    seen = UgvObservation(
+        tick=0,
+        time=0.0,
+        position=(8.0, 8.8),
+        velocity=(0.0, 0.0),
+        tile_reports=reports,
+        map_updates=(block, alarm),
+    )
+    update_grid(grid, seen)
+    assert (grid.tiles == before).all()
+
+
+def test_observers_see_buildings_that_are_known_from_the_start() -> None:
+    find = Hazard(kind="find", center=(30.0, 30.0), radius=0.3)
+    shown = {}
+    for known in (True, False):
+        told = ground_map(World(scenario(hazard=(find,), buildings={"known": known}), 1))
+        assert [hazard.polygon for hazard in told.hazards] == [(), HOUSE.polygon]
+        shown[known] = list(told.states), np.frombuffer(told.tiles, np.uint8)
+    assert shown[True][0] == [UNKNOWN, KNOWN]
+    assert shown[False][0] == [UNKNOWN, UNKNOWN]
+    assert (shown[True][1] == BLOCK).sum() == 100  # the house touches 10 x 10 tiles
+    assert (shown[False][1] != BLOCK).all()
+    town = load_scenario("town")
+    told = ground_map(World(town, 5))
+    assert [h.polygon for h in told.hazards] == [one.polygon for one in drawn(town, 5)]
+    assert set(told.tiles) == {CLEAR, BLOCK}
+
+
+# Contact, and the declared clearance
+
+
+def test_a_building_stops_a_ugv_whatever_a_touch_does() -> None:
+    disc = Hazard(kind="block", center=(8.9, 12.0), radius=0.2)
+    mine = Hazard(kind="block", center=(10.0, 12.0), radius=0.05)  # in its wall, touched first
+    ugv = Ugv(position=(8.0, 12.0))
+    one = scenario(ugv, hazard=(disc, mine), ground=Ground(touch="damage"), building=(HOUSE,))
+    world = pushed(one, 0.1, 0.0)
+    assert world.position[0].tolist() == pytest.approx([10.0, 12.0])
+    assert world.velocity[0].tolist() == [0.0, 0.0]
+    assert world.mission.hazards_hit == 3
+    away = pushed(one, -0.1, 0.0)
+    assert away.position[0, 0] < 5.0
+    assert away.mission.hazards_hit == 0
+
+
+def test_waypoints_driver_that_cuts_a_corner_is_counted() -> None:
+    assert near_building(scenario()) > [100]
+    far = msgspec.structs.replace(PASSING, position=(7.0, 8.2), goals=((17.0, 8.2),))
+    assert near_building(scenario(far)) == [0]
+    none = msgspec.structs.replace(PASSING, building_clearance=0.0)
+    assert near_building(scenario(none)) == [0]
+
+
+def test_cautious_ugv_keeps_its_clearance_in_towns_of_50_seeds(town: Scenario) -> None:
+    assert near_building(msgspec.structs.replace(town, uav=()), 50) == [0] * 50
+
+
+def test_cautious_ugvs_of_the_other_shipped_scenarios_keep_it() -> None:
+    courtyard = load_scenario("courtyard", overrides=["uav=[]"])
+    assert near_building(courtyard) == [0]
+    assert near_building(load_scenario("rescue-town"), 2) == [0, 0]  # on tiles that its UAV reports
+
+
+def test_cautious_ugv_keeps_its_clearance_around_its_path() -> None:
+    """Straight paths would lead past the house in less, and through it."""
+    for goal in ((17.0, 8.2), (17.0, 12.0)):
+        ugv = Ugv(position=(7.0, 12.0), goals=(goal,), building_clearance=1.5, driver="navigate")
+        assert near_building(scenario(ugv, duration=150.0)) == [0]
+
+
+def test_clearance_is_warned_of_unless_the_cautious_driver_keeps_it() -> None:
+    def warned(**changes: Any) -> bool:
+        one = load_scenario("town", overrides=changes)
+        return any("building_clearance = 1.5: not ensured" in x for x in scenario_warnings(one))
+
+    assert not warned()
+    for changes in ({"ugv.0.caution": "bold"}, {"ugv.0.driver": "wander"}, UNKNOWN_MAP):
+        assert warned(**changes)
+
+
+def test_legs_through_a_given_building_are_warned_of() -> None:
+    ugv = Ugv(position=(8.0, 12.0), goals=((16.0, 12.0),))
+    (line,) = scenario_warnings(scenario(ugv))
+    assert "its leg from position to goals.0 crosses building.0" in line
+
+
+def test_a_town_has_one_trajectory_in_run_environment_and_batch(town: Scenario) -> None:
+    short = msgspec.structs.replace(raw(town), duration=20.0)
+    _, flight, _ = flown_in_both(short, 4)
+    loop = ClosedLoop(short, 2, threads=1)
+    loop.begin([5, 4])
+    loop.fly()
+    assert np.array_equal(loop.state.batch.vehicles["position"][1], flight.world.position)
+    assert not np.array_equal(loop.batch.ground.tiles[0], loop.batch.ground.tiles[1])
+    assert not np.array_equal(loop.known_tiles("ugv_0")[0], loop.known_tiles("ugv_0")[1])
+    assert loop.mission(1) == flight.world.mission
+    loop.close()

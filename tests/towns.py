@@ -1,0 +1,33 @@
+"""A house, a UGV that passes it, and the buildings of random towns, for the tests of buildings."""
+
+from typing import Any
+
+from bus.messages.buildings import Building
+from sim.engine.run_keys import derive_keys
+from sim.models.hazards import distance_to_hazard
+from sim.models.randomness import BUILDING_FIELDS
+from sim.scenario.building_tables import run_buildings
+from sim.scenario.checks import check_scenario
+from sim.scenario.ground_tables import building_rows, corners_of
+from sim.scenario.types import Scenario, Ugv
+
+HOUSE = Building(polygon=((10.0, 10.0), (14.0, 10.0), (14.0, 14.0), (10.0, 14.0)), height=5.0)
+PASSING = Ugv(position=(7.0, 8.8), goals=((17.0, 8.8),), building_clearance=1.5)
+"""A UGV whose straight path to its goal leads past the house in 1.2 m."""
+UNKNOWN_MAP = {"buildings.known": False}
+
+
+def scenario(ugv: Ugv = PASSING, **fields: Any) -> Scenario:
+    """A UGV without a UAV, and a house."""
+    given = {"ugv": (ugv,), "building": (HOUSE,), "duration": 100.0} | fields
+    return check_scenario(Scenario(**given))
+
+
+def drawn(one: Scenario, seed: int, secret: str = "") -> tuple[Building, ...]:
+    first, second = derive_keys((seed,), 1, secret)[0, BUILDING_FIELDS, 0]
+    return run_buildings(one, (first, second))
+
+
+def distances(buildings: tuple[Building, ...], x: float, y: float) -> list[float]:
+    rows, corners = building_rows(buildings, first=0), corners_of(buildings)
+    return [distance_to_hazard(rows, corners, k, x, y) for k in range(len(rows))]
