@@ -6,6 +6,7 @@ from agents.control.orbit import Path, check_path
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimation.estimator import Estimate, estimator_of
 from agents.estimation.map_updates import MapUpdateScheduler
+from agents.height import HeightControl
 from agents.laws.policy import PolicyControl, TargetEstimate, UavPolicy
 from agents.laws.selection import SelectedLaw
 from agents.safety.safety_filter import SafetyFilter
@@ -62,6 +63,7 @@ class UavPilot:
         self._briefing = briefing
         self._uav = uav_parameters(briefing)
         self._law = SelectedLaw(briefing, briefing.law, self._uav)
+        self._height = None if briefing.altitude is None else HeightControl(briefing, self._uav)
         self._weighting, self._path, self._inner = weighting, path, inner
         self._policy: PolicyControl | None = None
         if policy is not None:
@@ -131,16 +133,23 @@ class UavPilot:
             wanted = self._nominal(observation)
         acceleration, decision = wanted, None
         backups: tuple[BackupTrajectory, ...] = ()
+        vertical = self._vertical(observation)
         if self.filter is not None:
-            decision = self.filter.filter(observation, wanted)
-            acceleration = decision.acceleration
+            decision = self.filter.filter(observation, wanted, vertical)
+            acceleration, vertical = decision.acceleration, decision.vertical_acceleration
             backups = self.filter.backup_trajectories(tick)
         if estimate is None:
-            return UavCommand(tick=tick, acceleration=acceleration, backup_trajectories=backups)
+            return UavCommand(
+                tick=tick,
+                acceleration=acceleration,
+                vertical_acceleration=vertical,
+                backup_trajectories=backups,
+            )
         target_position = estimate.position
         return UavCommand(
             tick=tick,
             acceleration=acceleration,
+            vertical_acceleration=vertical,
             backup_trajectories=backups,
             radio=() if tick % self._radio_ticks else self._radio(observation, *target_position),
             map_updates=self.map_updates.due(tick, target_position),
@@ -171,18 +180,32 @@ class UavPilot:
             detections=looks_of(observation.detections, dt),
         )
         self._tick = tick
+        sensor, occlusion = self._uav.sensor, None
+        if self._height is not None:
+            self._height.see(observation)
+            sensor, occlusion = self._height.sensor, self._height.occlusion
+            self._law.set_sensor(sensor)
         if before is not None and tick > before:
-            c, (x, y), looked = self._uav, observation.position, (tick - before) * dt
-            accumulate(self.coverage, x, y, c.sensor, c.cell, looked)
+            (x, y), looked = observation.position, (tick - before) * dt
+            accumulate(self.coverage, x, y, sensor, self._uav.cell, looked, occlusion)
         if self.filter is not None:
             self.filter.see(observation)
 
     def _select_law(self, law: Law) -> None:
         """Switch to another law; keep map, filter, and the memory fields that both laws share."""
         self._law = SelectedLaw(self._briefing, law, self._uav, self._law)
+        if self._height is not None:
+            self._law.set_sensor(self._height.sensor)
         self._check_own_functions()
         if self.filter is None or not self._watched:
             self.filter = self._make_filter()
+
+    def _vertical(self, observation: UavObservation) -> float:
+        """Return the vertical acceleration of the altitude law [m/s²]; 0 in the plane."""
+        if self._height is None:
+            return 0.0
+        target = None if self._estimate is None else self._estimate.position
+        return self._height.command(observation, self.coverage, target)
 
     def _nominal(self, observation: UavObservation) -> Vector:
         """Return the acceleration of the law, or of the policy that replaces it, within the bound of (1) [m/s²]."""

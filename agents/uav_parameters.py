@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from agents.safety.safety_filter import bounds_of
+from agents.safety.levels import bounds_of
 from bus.errors import ScenarioError
 from bus.messages.vehicle import UavBriefing
 from bus.registry import SENSORS

@@ -8,6 +8,7 @@ from typing import Self
 
 import numpy as np
 
+from bus.messages.buildings import Building
 from bus.messages.ground import TILE_LETTERS, MapUpdate, TileReport
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.telemetry import CoverageMap, MissionResult
@@ -31,6 +32,8 @@ from sim.models.ground import (
     tile_states,
 )
 from sim.models.motion import NO_MOTION, keep_motion, received_motion
+from sim.models.randomness import BUILDING_FIELDS
+from sim.scenario.building_tables import run_buildings
 from sim.scenario.types import LinkTable, Scenario, Uav
 
 _CODES = {text: code for code, text in UNCERTIFIED.items()}
@@ -117,6 +120,12 @@ class World:
         return self.vehicles["acceleration"]
 
     @property
+    def vertical(self) -> RecordArray:
+        """`sim.models.altitude.VerticalMotion` of each vehicle. Shape (vehicles,)."""
+        vertical: RecordArray = self.vehicles["vertical"]
+        return vertical
+
+    @property
     def commands(self) -> FloatArray:
         """Commands executed in the last tick, before the bounds [m/s²]. Shape (vehicles, 2)."""
         return self.vehicles["command"]
@@ -140,6 +149,12 @@ class World:
             return ground
         changing = (name for name in GroundState._fields if name not in CONSTANTS)
         return ground._replace(**{name: getattr(ground, name)[k : k + 1] for name in changing})
+
+    @property
+    def buildings(self) -> tuple[Building, ...]:
+        """Buildings of the run; no vehicle receives them, except as a map that the scenario gives it."""
+        first, second = self.vehicles["keys"][0, BUILDING_FIELDS]
+        return run_buildings(self.scenario, (first, second))
 
     def move_to(self, tick: int) -> None:
         """Set the tick, without any other change."""
@@ -187,6 +202,7 @@ class World:
         answered: int,
         acceleration: tuple[float, float],
         motions: Sequence[BackupTrajectory] = (),
+        vertical: float = 0.0,
     ) -> None:
         """Send a vehicle's command to its actuators in the next tick; at most one per tick.
 
@@ -196,11 +212,13 @@ class World:
             acceleration: Acceleration [m/s²].
             motions: Backup trajectories in the command, one per tick, oldest first. Without a receiver for them, the
                 acceleration is executed.
+            vertical: Vertical acceleration of a UAV with an altitude [m/s²].
         """
         row = self.vehicles[vehicle]
         row["outgoing_tick"], row["outgoing"] = answered, acceleration
         row["outgoing_motion"] = motions[-1].begins if motions else -1
         row["outgoing_motions"] = len(motions)
+        row["vertical"]["outgoing"] = vertical
         kept = self._batch.state.motions[self._number, vehicle]
         for motion in motions:
             keep_motion(kept, received_motion(motion)[0], self.tick)
@@ -281,7 +299,7 @@ class World:
         Shape (UAVs, 2). Separate from the tick, because it is needed only after the vehicles have responded.
         """
         tables, state = self.arrays
-        measure(tables.world, state.vehicles, tables.escorts, state.coverage, self._number, True)
+        measure(tables, state, self._number, True)
         uavs = self.vehicles[self.escorts[:, 0]]
         return np.stack((uavs["distance"], uavs["coverage_error"]), axis=1)
 

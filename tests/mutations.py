@@ -31,7 +31,8 @@ def valid(kind: Any, rng: random.Random) -> Any:
             return {part.encode_name: valid(part.type, rng) for part in wanted}
         case kinds.FloatType():
             low = kind.ge if kind.ge is not None else math.nextafter(kind.gt, math.inf)
-            high = rng.choice([1.0, kind.le])
+            largest = kind.le if kind.le is not None else math.nextafter(kind.lt, -math.inf)
+            high = rng.choice([1.0, largest])
             return rng.choice([low, high]) if rng.random() < 0.1 else rng.uniform(low, high)
         case kinds.IntType():
             low = -(2**70) if kind.ge is None else kind.ge
@@ -71,7 +72,8 @@ def valid(kind: Any, rng: random.Random) -> Any:
 
 def between(value: float, kind: Any) -> bool:
     within = (kind.ge is None or value >= kind.ge) and (kind.gt is None or value > kind.gt)
-    return within and (kind.le is None or value <= kind.le) and kind.lt is kind.multiple_of is None
+    within = within and (kind.lt is None or value < kind.lt)
+    return within and (kind.le is None or value <= kind.le) and kind.multiple_of is None
 
 
 def allowed(value: Any, kind: Any) -> bool:

@@ -2,7 +2,7 @@
 
 
 def rows(text: str) -> list[list[str]]:
-    """The cells of each row; a line that begins with a bar or with `&` goes on with the row before."""
+    """Return the cells of each row; a line that begins with a bar or `&` continues the previous row."""
     lines = text.replace("\n|", " |").replace("\n&", " &").strip().splitlines()
     return [[cell.strip() for cell in line.split(" | ")] for line in lines]
 

@@ -109,7 +109,7 @@ def record_tick(assurance: Assurance, tick: int, certified: bool | None, **given
         if truth["answers"]
         else None,
         evidence=(arrivals, vehicles, flown),
-        distance=truth["distance"],
+        lost=truth["distance"] >= R_V,
         watched=truth["watched"],
     )
 
@@ -246,7 +246,7 @@ def test_later_command_gap_excuses_an_ended_certificate(flown_on, broken) -> Non
 def test_certificate_covers_no_tick_after_the_filter_stops() -> None:
     assurance = assurance_after(True, True)
     record_tick(assurance, 2, None, watched=False)
-    assurance.end(0, R_V)
+    assurance.end(0, lost=True)
     assert assurance.certified_while_lost == 0
 
 
@@ -290,7 +290,7 @@ def test_sight_lost_at_the_last_certified_tick_counts_once() -> None:
     ):
         assurance = assurance_after(*ticks)
         for _ in range(2):
-            assurance.end(0, last)
+            assurance.end(0, lost=last >= R_V)
             assert assurance.certified_while_lost == lost
 
 

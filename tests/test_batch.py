@@ -11,7 +11,7 @@ from bus.ticks import looks_of
 from flights import escort
 from sim.channel.link_records import ARRIVED
 from sim.compiling.threads import WorkerThreads
-from sim.engine.batch import Batch
+from sim.engine.batch import Batch, arrays_of
 from sim.scenario.types import (
     Coverage,
     Detections,
@@ -108,9 +108,9 @@ def test_batch_size_and_threads_change_no_bit() -> None:
 
 def test_reset_world_equals_one_that_has_never_flown() -> None:
     batch, _ = _fly_both(SCENARIOS["network"], [1, 2, 3], 90)
-    kept = [array[1].copy() for array in batch.state]
+    kept = [array[1].copy() for array in arrays_of(batch.state)]
     batch.begin([9, 8], [2, 0])
-    for array, before in zip(batch.state, kept, strict=True):
+    for array, before in zip(arrays_of(batch.state), kept, strict=True):
         assert str(array[1].tolist()) == str(before.tolist())  # padding bytes differ
     fresh = Batch(SCENARIOS["network"], 3, gains=True)
     fresh.begin([8, 2, 9])

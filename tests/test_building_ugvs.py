@@ -14,8 +14,8 @@ from agents.drivers.compiled import briefed_grid, update_grid
 from bus.messages.buildings import Building
 from bus.messages.ground import Hazard, MapUpdate, TileReport
 from bus.messages.vehicle import UgvObservation
-from flights import flown_in_both
 from outrider.envs.closed_loop import ClosedLoop
+from outrider.running.flying import fly
 from properties import PROPERTY
 from sim.engine.briefing import briefing
 from sim.models.ground import CLEAR, UNSEEN, add_polygon
@@ -26,7 +26,6 @@ from sim.scenario.types import Ground, Scenario, Ugv
 from sim.scene.ground_map import KNOWN, UNKNOWN, ground_map
 from sim.world import World
 from towns import HOUSE, PASSING, UNKNOWN_MAP, distances, drawn, scenario
-from worlds import raw
 
 PLACES = st.tuples(st.floats(0.5, 39.5), st.floats(0.5, 39.5))
 
@@ -165,7 +164,9 @@ def test_cautious_ugv_keeps_its_clearance_in_towns_of_50_seeds(town: Scenario) -
 def test_cautious_ugvs_of_the_other_shipped_scenarios_keep_it() -> None:
     courtyard = load_scenario("courtyard", overrides=["uav=[]"])
     assert near_building(courtyard) == [0]
-    assert near_building(load_scenario("rescue-town"), 2) == [0, 0]  # on tiles that its UAV reports
+    mission = fly(load_scenario("rescue-town"), 1)[1].mission  # on tiles that its UAV reports
+    assert mission is not None
+    assert mission.guarantees["ugv_0"].near_building == 0
 
 
 def test_cautious_ugv_keeps_its_clearance_around_its_path() -> None:
@@ -191,9 +192,10 @@ def test_legs_through_a_given_building_are_warned_of() -> None:
     assert "its leg from position to goals.0 crosses building.0" in line
 
 
-def test_a_town_has_one_trajectory_in_run_environment_and_batch(town: Scenario) -> None:
-    short = msgspec.structs.replace(raw(town), duration=20.0)
-    _, flight, _ = flown_in_both(short, 4)
+def test_a_town_has_one_trajectory_in_run_and_batch(town: Scenario) -> None:
+    """Without its UAV, whose altitude a batch refuses; tests/test_altitude.py flies that over processes."""
+    short = msgspec.structs.replace(town, duration=20.0, uav=())
+    flight = fly(short, 4)[0]
     loop = ClosedLoop(short, 2, threads=1)
     loop.begin([5, 4])
     loop.fly()

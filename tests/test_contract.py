@@ -49,7 +49,7 @@ def test_uav_receives_exactly_these_fields() -> None:
         ground tile map_update_rate tile_reports column row state
         origin latitude longitude altitude
         initial_altitude min_altitude max_altitude max_climb_rate max_vertical_acceleration
-        vertical_clearance camera half_angle reference_altitude
+        vertical_clearance climb_rate camera half_angle reference_altitude
         buildings polygon marker_height building_clearance max_building_height
         vehicle dt visibility_radius law key past more"""
     assert fields_of(TO_UAV) == {*words(known), *fields_within(Law)}
@@ -141,6 +141,7 @@ def test_pilot_key_does_not_reveal_the_seed_of_the_run() -> None:
 
 
 ON_BOARD = {
+    "sim.models.altitude",
     "sim.models.vehicles",
     "sim.models.buildings",
     "sim.models.camera",
@@ -223,7 +224,9 @@ def test_import_contracts_catch_an_agent_reading_the_world(tmp_path: Path) -> No
 ROOMS = {"sim.models", "sim.compiling"}
 REFUSES_FUNCTIONS = {"sim.input", "sim.input.faults"}
 """Modules that refuse invalid user code in one line."""
-OF_MESSAGES = {"sim.scene", "sim.scene.colors", "sim.scene.model"}
+OF_MESSAGES = {"sim.scene"} | {
+    f"sim.scene.{name}" for name in ("altitude", "colors", "footprints", "model", "prism")
+}
 """Modules that convert messages to ROS 2: types of a scene, but no world."""
 
 

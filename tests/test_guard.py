@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from agents.safety.decision import decide
+from agents.safety.levels import bounds_of
 from agents.safety.memory import (
     FilterMemory,
     add_measurement,
@@ -14,7 +15,7 @@ from agents.safety.memory import (
     filter_memory,
     reset_memory,
 )
-from agents.safety.safety_filter import SafetyFilter, bounds_of, decision_of
+from agents.safety.safety_filter import SafetyFilter, decision_of
 from bus.messages.decision import NotCertified, Source
 from bus.messages.links import LinkSettings
 from bus.messages.scenario import Area, SafetyParameters

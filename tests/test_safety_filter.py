@@ -9,7 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents.safety.safety_filter import SafetyFilter, bounds_of
+from agents.safety.levels import bounds_of
+from agents.safety.safety_filter import SafetyFilter
 from bus.messages.decision import NotCertified
 from bus.messages.links import LinkSettings
 from flights import DT, U_A, V_A, briefing_of, distances, uav_sees

@@ -11,8 +11,9 @@ from bus.messages.scenario import Law
 from bus.messages.vehicle import UavBriefing
 from bus.registry import LAWS
 from sim.compiling.compile import FloatArray
-from sim.compiling.records import fresh, records
+from sim.compiling.records import fill, fresh, records
 from sim.models.randomness import words_of
+from sim.models.sensor import SensorParameters
 from sim.models.vehicles import Motion
 
 
@@ -63,6 +64,11 @@ class SelectedLaw:
     def memory(self) -> Any:  # noqa: ANN401 - the law's own record
         """Memory record of the law; None before the first law with a memory."""
         return None if self._memory is None else self._memory[0]
+
+    def set_sensor(self, sensor: SensorParameters) -> None:
+        """Set the sensor of the UAV at its altitude."""
+        if self.row.module:
+            fill(self._fixed[0][0]["sensor"], sensor)
 
     def command(
         self, coverage: FloatArray, tick: int, own: Motion, target: Target

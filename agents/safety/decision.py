@@ -9,6 +9,8 @@ command begins.
 Positions in the world's frame [m], speeds [m/s], accelerations [m/s²], times in ticks.
 """
 
+from typing import NamedTuple
+
 from agents.safety.area import step_in_area
 from agents.safety.discs import (
     KnownDiscs,
@@ -81,6 +83,46 @@ def _stays_in_sight(
 
 
 @compiled
+def try_nominal(
+    bounds: SafetyBounds,
+    known: KnownDiscs,
+    plan: RecordArray,
+    tick: int,
+    here: Motion,
+    u_x: float,
+    u_y: float,
+) -> tuple[bool, float, float]:
+    """Hold a plan that begins after a tick of the nominal acceleration.
+
+    Arguments as in `choose_control`.
+
+    Returns:
+        False, without changes, if there is none; and the nominal acceleration within its bound [m/s²].
+    """
+    w_x, w_y = clip_norm(u_x, u_y, bounds.u_a)
+    then, over = step_in_area(bounds, here, w_x, w_y)
+    found = False
+    if _stays_in_sight(bounds, known, plan[0].checked != 0, tick, here, then, over):
+        found = stop_from(bounds, known, plan, tick + 1, then)
+        found = found or return_from(bounds, known, plan, tick + 1, then)
+    return found, w_x, w_y
+
+
+@compiled
+def best_effort(
+    bounds: SafetyBounds, discs: RecordArray, plan: RecordArray, here: Motion
+) -> tuple[float, float]:
+    """Return the acceleration towards the newest measurement; without one, brake [m/s²]. The plan is unchecked."""
+    plan[0].checked = 0
+    new = newest_disc(discs)
+    if new < 0:
+        u_x, u_y = brake(here.v_x, here.v_y, bounds.u_a, bounds.dt)
+        return u_x, u_y
+    u_x, u_y = servo(here, discs[new].x, discs[new].y, bounds.v_a, bounds.u_a, bounds.dt)
+    return u_x, u_y
+
+
+@compiled
 def choose_control(
     bounds: SafetyBounds,
     discs: RecordArray,
@@ -113,21 +155,16 @@ def choose_control(
     held = plan[0]
     going = held.checked != 0 and held.turn + held.cruise + held.brake > 0
     known = known_discs(bounds, discs, end_disc(plan), new, tick, here)
-    w_x, w_y = clip_norm(u_x, u_y, bounds.u_a)
-    then, over = step_in_area(bounds, here, w_x, w_y)
-    if _stays_in_sight(bounds, known, held.checked != 0, tick, here, then, over):
-        found = stop_from(bounds, known, plan, tick + 1, then)
-        if found or return_from(bounds, known, plan, tick + 1, then):
-            return w_x, w_y, NOMINAL
+    found, w_x, w_y = try_nominal(bounds, known, plan, tick, here, u_x, u_y)
+    if found:
+        return w_x, w_y, NOMINAL
     found = return_from(bounds, known, plan, tick, here)
     if not found and not going:
         found = stop_from(bounds, known, plan, tick, here, 1)
     if found or going:
         w_x, w_y = follow(bounds, plan, here.v_x, here.v_y)
         return w_x, w_y, BACKUP
-    z = known.newest
-    w_x, w_y = servo(here, z.x, z.y, bounds.v_a, bounds.u_a, bounds.dt)
-    plan[0].checked = 0
+    w_x, w_y = best_effort(bounds, discs, plan, here)
     return w_x, w_y, BEST_EFFORT
 
 
@@ -180,6 +217,61 @@ def _reason(
     return CERTIFIED if checked else _UNCHECKED_PLAN
 
 
+class Beginning(NamedTuple):
+    """State of the filter at a tick, before it decides."""
+
+    ahead: Motion
+    """Predicted state of the UAV when the plan of this tick's command begins."""
+    expected: bool
+    """True if the UAV is in the state that its reported trajectory implies."""
+    checked: bool
+    """True if every plan until then is checked."""
+    wait: int
+    """Least time without a new plan at that tick [ticks]."""
+
+
+@compiled
+def begin_decision(
+    bounds: SafetyBounds, memory: FilterMemory, tick: int, here: Motion, committed: int
+) -> Beginning:
+    """Record the observation of this tick, and predict the UAV's state. Arguments as in `decide`."""
+    flags, pending, plan, discs = memory.flags[0], memory.pending, memory.plan, memory.discs
+    decision = memory.decision[0]
+    decision.certified_distance = certified_distance(bounds, discs, tick, here.p_x, here.p_y)
+    committed = _executed_plan(bounds, memory, tick, here, committed)
+    expected = receive_observation(pending, tick, here, committed, flags.tick)
+    flags.from_start = 1 if tick == 0 else flags.from_start
+    if flags.from_start == 1:
+        check_rest(bounds, pending, discs, plan, tick, here)
+    ahead, checked, wait = predict(bounds, pending, tick, here)
+    update_plan(pending, plan)
+    if contradicts_plan(bounds, discs, plan):
+        flags.contradicted = 1
+    return Beginning(ahead, expected, checked, wait)
+
+
+@compiled
+def end_decision(
+    bounds: SafetyBounds,
+    memory: FilterMemory,
+    tick: int,
+    here: Motion,
+    beginning: Beginning,
+    acceleration: tuple[float, float],
+    source: int,
+) -> None:
+    """Record the decision: the acceleration [m/s²] and its source. Other arguments as in `decide`."""
+    decision = memory.decision[0]
+    checked = source != BEST_EFFORT
+    send_plan(bounds, memory.pending, memory.plan, tick, here, acceleration, checked)
+    memory.flags[0].tick = tick
+    decision.acceleration[0], decision.acceleration[1] = acceleration
+    decision.source = source
+    decision.reason = _reason(
+        bounds, memory, tick, source, beginning.expected, beginning.checked, beginning.wait
+    )
+
+
 @compiled
 def decide(
     bounds: SafetyBounds,
@@ -203,22 +295,9 @@ def decide(
         u_x, u_y: Nominal acceleration [m/s²].
         committed: First tick of the plan executed in the previous tick; NO_MOTION: none.
     """
-    flags, pending, plan, discs = memory.flags[0], memory.pending, memory.plan, memory.discs
-    decision = memory.decision[0]
-    decision.certified_distance = certified_distance(bounds, discs, tick, here.p_x, here.p_y)
-    committed = _executed_plan(bounds, memory, tick, here, committed)
-    expected = receive_observation(pending, tick, here, committed, flags.tick)
-    flags.from_start = 1 if tick == 0 else flags.from_start
-    if flags.from_start == 1:
-        check_rest(bounds, pending, discs, plan, tick, here)
-    ahead, checked, wait = predict(bounds, pending, tick, here)
-    update_plan(pending, plan)
-    if contradicts_plan(bounds, discs, plan):
-        flags.contradicted = 1
+    beginning = begin_decision(bounds, memory, tick, here, committed)
     begins = tick + bounds.delay_ticks
-    u_x, u_y, source = choose_control(bounds, discs, plan, begins, ahead, u_x, u_y)
-    send_plan(bounds, pending, plan, tick, here, (u_x, u_y), source != BEST_EFFORT)
-    flags.tick = tick
-    decision.acceleration[0], decision.acceleration[1] = u_x, u_y
-    decision.source = source
-    decision.reason = _reason(bounds, memory, tick, source, expected, checked, wait)
+    u_x, u_y, source = choose_control(
+        bounds, memory.discs, memory.plan, begins, beginning.ahead, u_x, u_y
+    )
+    end_decision(bounds, memory, tick, here, beginning, (u_x, u_y), source)

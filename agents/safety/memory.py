@@ -117,6 +117,7 @@ def reset_memory(memory: FilterMemory) -> None:
     reset_pending(memory.pending)
     decision = memory.decision[0]
     decision.acceleration[0], decision.acceleration[1] = 0.0, 0.0
+    decision.vertical_acceleration = 0.0
     decision.source, decision.reason = _NOMINAL, _NO_MEASUREMENT
     decision.certified_distance = math.inf
 

@@ -32,7 +32,7 @@ from sim.models.motion import (
 from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion
 
-_NOW, _END = 0, 1
+COMMITTED, PREDICTED = 0, 1
 """Rows of `PendingCommands.committed`: committed now, and at the end of the predicted trajectory."""
 
 _STARTED, _LOST = 0, 1
@@ -91,21 +91,21 @@ def mark_unchecked(pending: PendingCommands) -> None:
     """Mark all plans unchecked: the UAV is not in the expected state, from which they were checked."""
     for k in range(pending.sent.shape[0]):
         pending.sent[k].checked = 0
-    pending.committed[_NOW].checked = 0
+    pending.committed[COMMITTED].checked = 0
 
 
 @compiled
 def _receive_flown(pending: PendingCommands, tick: int, committed: int) -> None:
     """Record the trajectory executed in the previous tick; another pilot's trajectory counts as unchecked."""
-    if pending.committed[_NOW].begins != committed:
+    if pending.committed[COMMITTED].begins != committed:
         row = committed % pending.sent.shape[0]
         if committed >= 0 and pending.sent[row].begins == committed:
-            pending.committed[_NOW] = pending.sent[row]
+            pending.committed[COMMITTED] = pending.sent[row]
         else:
-            pending.committed[_NOW] = NO_CHECKED[0]
-            pending.committed[_NOW].begins, pending.committed[_NOW].plain = committed, 1
+            pending.committed[COMMITTED] = NO_CHECKED[0]
+            pending.committed[COMMITTED].begins, pending.committed[COMMITTED].plain = committed, 1
     if committed >= 0:
-        pending.committed[_NOW].age = tick - committed
+        pending.committed[COMMITTED].age = tick - committed
 
 
 @compiled
@@ -157,11 +157,11 @@ def predict(
     """
     c, checked, next_begins = (
         bounds,
-        pending.committed[_NOW].checked == 1,
+        pending.committed[COMMITTED].checked == 1,
         tick + bounds.delay_ticks,
     )
-    ahead = pending.committed[_END : _END + 1]
-    ahead[0] = pending.committed[_NOW]
+    ahead = pending.committed[PREDICTED : PREDICTED + 1]
+    ahead[0] = pending.committed[COMMITTED]
     for k in range(c.delay_ticks):
         if follow_on(pending.sent, ahead, tick + k):
             next_begins = min(next_begins, tick + k)
@@ -169,7 +169,7 @@ def predict(
         u_x, u_y = motion_command(ahead[0], here.v_x, here.v_y, c.u_a, c.dt)
         here, _ = step_in_area(c, here, u_x, u_y)
         ahead[0].age += 1
-    return here, checked, waited(next_begins, pending.committed[_NOW].begins, c.delay_ticks)
+    return here, checked, waited(next_begins, pending.committed[COMMITTED].begins, c.delay_ticks)
 
 
 @compiled
@@ -179,7 +179,7 @@ def update_plan(pending: PendingCommands, plan: RecordArray) -> None:
     The hand-over needs the disc around the end of this trajectory, not the disc of a lost plan.
     """
     last = end_disc(plan)
-    plan[0] = pending.committed[_END]
+    plan[0] = pending.committed[PREDICTED]
     held = plan[0]
     behind = max(0, held.age - 1)
     turn, cruise = held.turn, held.cruise
@@ -197,12 +197,14 @@ def _rests(rows: RecordArray, k: int) -> bool:
     still = (
         m.acceleration[0] == 0.0 and m.acceleration[1] == 0.0 and m.turn + m.cruise + m.brake == 0
     )
-    return bool(still and m.plain == 0)
+    return bool(still and m.vertical_acceleration == 0.0 and m.plain == 0)
 
 
 @compiled
-def _check_rest(rows: RecordArray, k: int, tick: int, here: Motion, radius: float) -> None:
-    rows[k].checked = 1
+def _check_rest(
+    rows: RecordArray, k: int, tick: int, here: Motion, radius: float, floor: float
+) -> None:
+    rows[k].checked, rows[k].floor = 1, floor
     set_end(rows[k : k + 1], Disc(here.p_x, here.p_y, radius, tick))
 
 
@@ -225,18 +227,18 @@ def check_rest(
         tick: Current tick.
         here: Current state of the UAV.
     """
-    if pending.committed[_NOW].checked == 1 or not _rests(pending.committed, _NOW):
+    if pending.committed[COMMITTED].checked == 1 or not _rests(pending.committed, COMMITTED):
         return
     radius = rest_radius(bounds, discs, plan, tick, here, bounds.delay_ticks)
     if radius == math.inf:
         return
-    _check_rest(pending.committed, _NOW, tick, here, radius)
+    _check_rest(pending.committed, COMMITTED, tick, here, radius, bounds.floor)
     for begins in range(tick, tick + bounds.delay_ticks):
         place = begins % pending.sent.shape[0]
         if pending.sent[place].begins == begins:
             if not _rests(pending.sent, place):
                 return
-            _check_rest(pending.sent, place, tick, here, radius)
+            _check_rest(pending.sent, place, tick, here, radius, bounds.floor)
 
 
 @compiled
@@ -264,12 +266,12 @@ def send_plan(
     place = begins % pending.sent.shape[0]
     pending.sent[place] = plan[0] if checked else NO_CHECKED[0]
     row = pending.sent[place]
-    row.begins, row.parent = begins, pending.committed[_END].begins
+    row.begins, row.parent = begins, pending.committed[PREDICTED].begins
     row.acceleration[0], row.acceleration[1] = first
     row.age, row.arrived, row.plain = 0, 0, 0
-    ahead = pending.committed[_END : _END + 1]
+    ahead = pending.committed[PREDICTED : PREDICTED + 1]
     for k in (_LOST, _STARTED):
-        ahead[0] = pending.committed[_NOW]
+        ahead[0] = pending.committed[COMMITTED]
         if k == _STARTED:
             follow_on(pending.sent, ahead, tick)
         w_x, w_y = motion_command(ahead[0], here.v_x, here.v_y, bounds.u_a, bounds.dt)

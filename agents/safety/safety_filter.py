@@ -3,8 +3,10 @@
 from collections import Counter
 from typing import Any
 
+from agents.safety.altitude import decide_in_space
 from agents.safety.decision import decide
-from agents.safety.handover import certificate, check_assumptions
+from agents.safety.handover import check_assumptions
+from agents.safety.levels import bounds_of, levels_of
 from agents.safety.memory import (
     add_measurement,
     add_position,
@@ -18,26 +20,9 @@ from bus.messages.decision import FilterDecision, NotCertified, Source
 from bus.messages.vehicle import BackupTrajectory, UavBriefing, UavObservation
 from bus.ticks import looks_of
 from sim.compiling.records import choice, struct_of
+from sim.models.altitude import vertical_motion
 from sim.models.motion import NO_MOTION
-from sim.models.safety import SafetyBounds, safety_bounds
 from sim.models.vehicles import Motion
-
-
-def bounds_of(briefing: UavBriefing) -> SafetyBounds:
-    """Return the bounds of a UAV's safety filter, hand-over included."""
-    (v_a, u_a), (v_g, _) = briefing.limits.numbers, briefing.target_limits.numbers
-    return certificate(
-        safety_bounds(
-            briefing.safety,
-            visibility_radius=briefing.visibility_radius,
-            v_a=v_a,
-            u_a=u_a,
-            v_g=v_g,
-            dt=briefing.dt,
-            width=briefing.area.width,
-            height=briefing.area.height,
-        )
-    )
 
 
 def decision_of(row: Any) -> FilterDecision:  # noqa: ANN401 - a record
@@ -48,6 +33,7 @@ def decision_of(row: Any) -> FilterDecision:  # noqa: ANN401 - a record
         source=choice(Source, int(row["source"])) or Source.NOMINAL,
         reason=choice(NotCertified, int(row["reason"])),
         certified_distance=or_none(float(row["certified_distance"])),
+        vertical_acceleration=float(row["vertical_acceleration"]),
     )
 
 
@@ -63,7 +49,9 @@ class SafetyFilter:
 
     def __init__(self, briefing: UavBriefing) -> None:
         self.bounds = bounds_of(briefing)
-        """Bounds of the filter."""
+        """Bounds of the filter; with an altitude, those at the initial altitude."""
+        self._levels = levels_of(briefing)
+        self._vertical = vertical_motion(briefing.altitude)
         self.faults = check_assumptions(self.bounds)
         """Violated assumptions, one line each; if there are any, nothing can be certified."""
         self.ticks = 0
@@ -90,12 +78,15 @@ class SafetyFilter:
         for taken, x, y in looks_of(observation.detections, self.bounds.dt):
             add_measurement(self.bounds, memory, taken, (x, y), tick, here)
 
-    def filter(self, observation: UavObservation, acceleration: Vector) -> FilterDecision:
+    def filter(
+        self, observation: UavObservation, acceleration: Vector, vertical: float = 0.0
+    ) -> FilterDecision:
         """Decide on the nominal acceleration: apply it if the UGV stays in sight after it, else a backup trajectory.
 
         Args:
             observation: Same observation as in the last call of `see`.
             acceleration: Nominal acceleration of the law, the operator or the policy [m/s²].
+            vertical: Its nominal vertical acceleration, if it has an altitude [m/s²].
         """
         here, tick = Motion(*observation.position, *observation.velocity), observation.tick
         u_x, u_y = float(acceleration[0]), float(acceleration[1])
@@ -104,7 +95,13 @@ class SafetyFilter:
             if observation.committed_trajectory is None
             else observation.committed_trajectory
         )
-        decide(self.bounds, self.memory, tick, here, u_x, u_y, committed)
+        if observation.altitude is None:
+            decide(self.bounds, self.memory, tick, here, u_x, u_y, committed)
+        else:
+            own = self._vertical[0]
+            own["altitude"], own["rate"] = observation.altitude, observation.climb_rate
+            wanted = u_x, u_y, float(vertical)
+            decide_in_space(self._levels, self.memory, tick, here, own, wanted, committed)
         decision = decision_of(self.memory.decision[0])
         self.ticks += 1
         self.overridden += decision.overridden

@@ -77,12 +77,14 @@ def _hold(
     turning: tuple[float, float],
     braking: tuple[float, float],
     end: Disc,
+    floor: float,
 ) -> None:
-    """Hold a checked plan: the ticks of its turn, cruise and brake, and its accelerations [m/s²]."""
+    """Hold a checked plan: the ticks of its turn, cruise and brake, its accelerations [m/s²] and its floor [m]."""
     held = plan[0]
     held.checked, held.turn, held.cruise, held.brake = 1, ticks[0], ticks[1], ticks[2]
     held.turning[0], held.turning[1] = turning
     held.braking[0], held.braking[1] = braking
+    held.floor = floor
     set_end(plan, end)
 
 
@@ -135,7 +137,7 @@ def stop_from(
         return False
     if not farthest(bounds, known, tick, here.p_x, here.p_y, bounds.radius) <= bounds.radius:
         return False
-    _hold(plan, (0, 0, ticks), (0.0, 0.0), (a_x, a_y), Disc(x, y, radius, tick))
+    _hold(plan, (0, 0, ticks), (0.0, 0.0), (a_x, a_y), Disc(x, y, radius, tick), bounds.floor)
     return True
 
 
@@ -255,7 +257,7 @@ def _return_at(
         return False
     b_x, b_y = (-w_x / (stop * bounds.dt), -w_y / (stop * bounds.dt)) if stop else (0.0, 0.0)
     end = Disc(end_x, end_y, radius, tick)
-    _hold(plan, (turn, cruise, stop), (a_x, a_y), (b_x, b_y), end)
+    _hold(plan, (turn, cruise, stop), (a_x, a_y), (b_x, b_y), end, bounds.floor)
     return True
 
 

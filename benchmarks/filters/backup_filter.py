@@ -35,7 +35,7 @@ from agents.safety.discs import (
     no_discs,
     radius_at,
 )
-from agents.safety.safety_filter import bounds_of
+from agents.safety.levels import bounds_of
 from bus.messages.base import Vector
 from bus.messages.decision import FilterDecision, NotCertified, Source
 from bus.messages.vehicle import UavBriefing, UavObservation

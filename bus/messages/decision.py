@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 
-from bus.messages.base import Message, NonNegative, Vector
+from bus.messages.base import Coordinate, Message, NonNegative, Vector
 
 
 class Source(StrEnum):
@@ -27,6 +27,7 @@ class NotCertified(StrEnum):
     NO_PLAN = "NO_PLAN"
     OFF_TRAJECTORY = "OFF_TRAJECTORY"
     UNCHECKED_PLAN = "UNCHECKED_PLAN"
+    TOO_LOW = "TOO_LOW"
     NO_REPORT = "NO_REPORT"
     """Given by the simulator, never by a filter: counts ticks without a report from a filter."""
 
@@ -46,6 +47,7 @@ WHAT_HAPPENED = {
     NotCertified.NO_PLAN: "no plan from here keeps the UGV in sight",
     NotCertified.OFF_TRAJECTORY: "the UAV is not on the trajectory that it reported",
     NotCertified.UNCHECKED_PLAN: "the UAV executes, or may start, a plan that was not checked from its state",
+    NotCertified.TOO_LOW: "the UAV is, or will be, below the lowest altitude that can be certified",
     NotCertified.NO_REPORT: "the UAV has no estimate yet, or its command did not arrive",
 }
 """Plain-English description of each reason."""
@@ -62,6 +64,8 @@ class FilterDecision(Message, frozen=True, kw_only=True):
     """Reason why the tick is not certified; None: visibility is guaranteed from this tick on."""
     certified_distance: NonNegative | None
     """Upper bound of the present distance to the UGV [m]; None before the first detection."""
+    vertical_acceleration: Coordinate = 0.0
+    """Vertical acceleration applied [m/s²], if the UAV has an altitude."""
 
     @property
     def certified(self) -> bool:

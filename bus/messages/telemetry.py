@@ -15,6 +15,7 @@ from bus.messages.base import (
     Tick,
     Vector,
 )
+from bus.messages.buildings import Building, Camera
 from bus.messages.control import Change, Rejection
 from bus.messages.decision import NotCertified
 from bus.messages.links import LinkStatus
@@ -34,6 +35,12 @@ class VehicleTruth(Message, frozen=True, kw_only=True):
     """Acceleration applied since the last tick, after the bounds [m/s²]."""
     command: Vector
     """Commanded acceleration since the last tick, before the bounds [m/s²]; without a command, its replacement."""
+    altitude: Coordinate | None = None
+    """Altitude of a UAV above the ground [m]; None: it flies in the plane, or is a UGV."""
+    climb_rate: Coordinate = 0.0
+    """Its climb rate [m/s]."""
+    vertical_acceleration: Coordinate = 0.0
+    """Its vertical acceleration since the last tick, after the bounds [m/s²]."""
 
 
 class EscortTruth(Message, frozen=True, kw_only=True):
@@ -45,6 +52,8 @@ class EscortTruth(Message, frozen=True, kw_only=True):
     """Name of the UGV."""
     distance: NonNegative
     """Distance |p_a - p_g| [m]."""
+    sight_radius: NonNegative | None = None
+    """Distance within which the UGV is visible [m], 0 while a building hides it; None: always r_v."""
     coverage_error: NonNegative
     """Coverage error e(t) of eq. (4) with the true p_g [m²]."""
     detection: Vector | None
@@ -178,6 +187,12 @@ class Geometry(Message, frozen=True, kw_only=True):
     """First goals of each UGV with a goal-seeking driver [m], at most 100 each."""
     origin: Origin = Origin()
     """Geographic position of the area's origin."""
+    buildings: tuple[Building, ...] = ()
+    """Buildings of the run."""
+    camera: Camera | None = None
+    """Camera of the UAVs with an altitude; None: they fly in the plane."""
+    marker_heights: dict[Name, NonNegative] = {}
+    """Height of each UGV's marker above the ground [m], at which a camera detects it."""
 
 
 class CertificateStatus(Message, frozen=True, kw_only=True):

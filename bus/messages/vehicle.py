@@ -6,6 +6,7 @@ import msgspec
 from msgspec import Meta
 
 from bus.messages.base import (
+    Coordinate,
     Covariance,
     Message,
     Name,
@@ -69,6 +70,8 @@ class BackupTrajectory(msgspec.Struct, frozen=True, array_like=True, forbid_unkn
     """Acceleration during the turn [m/s²]."""
     braking: Vector = (0.0, 0.0)
     """Acceleration during braking [m/s²]."""
+    vertical_acceleration: Coordinate = 0.0
+    """Vertical acceleration in its first tick [m/s²]; afterwards the vehicle levels off."""
 
 
 class VehicleBriefing(Message, frozen=True, kw_only=True):
@@ -202,6 +205,10 @@ class VehicleObservation(Message, frozen=True, kw_only=True):
 class UavObservation(VehicleObservation, frozen=True, kw_only=True):
     """Observation of a UAV at a tick."""
 
+    altitude: Coordinate | None = None
+    """Its altitude above the ground [m]; None: it flies in the plane."""
+    climb_rate: Coordinate = 0.0
+    """Its climb rate [m/s]."""
     detections: tuple[Detection, ...] = ()
     """Detections that arrived at this tick."""
     law: Law | None = None
@@ -254,6 +261,8 @@ class UavCommand(Message, frozen=True, kw_only=True):
     """Tick of the observation."""
     acceleration: Vector
     """Desired acceleration [m/s²]."""
+    vertical_acceleration: Coordinate = 0.0
+    """Desired vertical acceleration [m/s²], if it has an altitude."""
     backup_trajectories: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
     """Backup trajectories: the newest one, and earlier ones that the vehicle may have missed, one per tick, oldest
     first. Without any, the acceleration stays in effect until `command_timeout`.

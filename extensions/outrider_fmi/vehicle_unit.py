@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from agents.laws.selection import SelectedLaw
-from agents.safety.safety_filter import bounds_of
+from agents.safety.levels import bounds_of
 from agents.uav import UavPilot
 from agents.uav_parameters import uav_parameters
 from agents.ugv import UgvPilot

@@ -18,6 +18,7 @@ from agents.estimation.motion_model import (
 from agents.laws.dispatch import law_memories
 from agents.safety.memory import filter_memory
 from agents.safety.safety_filter import decision_of
+from bus.errors import ScenarioError
 from bus.messages.decision import FilterDecision
 from bus.messages.links import LinkKind, LinkStatus
 from bus.messages.telemetry import MissionResult
@@ -45,6 +46,20 @@ from sim.env.settings import Settings, settings_of
 from sim.models.ground import TileArray
 from sim.models.randomness import PILOT
 from sim.scenario.types import Scenario
+
+
+def _check_plane(scenario: Scenario) -> None:
+    """Reject UAVs with an altitude, which environments and batches do not control.
+
+    Raises:
+        ScenarioError: If there is one.
+    """
+    for k, uav in enumerate(scenario.uav):
+        if uav.initial_altitude is not None:
+            raise ScenarioError(
+                f"uav.{k}.initial_altitude = {uav.initial_altitude:g}: environments fly in the plane; allowed: none "
+                "(`outrider run` flies it)"
+            )
 
 
 class ClosedLoop:
@@ -75,6 +90,7 @@ class ClosedLoop:
         **settings: Any,  # noqa: ANN401 - fields of `Settings`
     ) -> None:
         options = settings_of(settings)
+        _check_plane(scenario)
         self.scenario = scenario
         self.worlds = worlds
         self.names = tuple(vehicle.name for vehicle in scenario.vehicles)

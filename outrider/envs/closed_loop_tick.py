@@ -161,8 +161,7 @@ def run_worlds(
                     _count_actions(tables, state, k, started)
                 perceive(parameters, tables, state, ground, k)
             error = tables.rows.episode[0].error
-            escorts = tables.batch.escorts
-            measure(tables.batch.world, batch.vehicles, escorts, batch.coverage, k, error)
+            measure(tables.batch, batch, k, error)
             advance_rows(tables.batch, batch, ground, tables.rows, state.rows, k, beginning)
             over = state.rows.terminated[k] or state.rows.truncated[k]
             if parameters is not None:

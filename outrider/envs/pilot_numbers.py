@@ -16,8 +16,8 @@ from agents.estimation.motion_model import (
 )
 from agents.laws.dispatch import CODES, law_tables
 from agents.laws.selection import SelectedLaw
+from agents.safety.levels import bounds_of
 from agents.safety.memory import track_ticks
-from agents.safety.safety_filter import bounds_of
 from agents.uav_parameters import uav_parameters
 from bus.errors import ScenarioError
 from bus.messages.scenario import Law

@@ -13,10 +13,11 @@ from typing import NamedTuple
 import msgspec
 
 from agents.safety.handover import check_assumptions
-from agents.safety.safety_filter import bounds_of
+from agents.safety.levels import bounds_of
 from bus.messages.links import LinkKind
 from bus.registry import LAWS
 from bus.ticks import TICK_TOLERANCE
+from outrider.running.altitude_assumptions import altitude_fault
 from outrider.running.ground_assumptions import ground_warnings
 from outrider.running.link_assumptions import (
     RARE,
@@ -119,7 +120,12 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
         return ()
     table, found = links or scenario.links, list[Shortfall]()
     for uav in scenario.uav:
-        bounds = bounds_of(uav_briefing(scenario, uav.name, scenario.seed))
+        brief = uav_briefing(scenario, uav.name, scenario.seed)
+        bounds, fault = bounds_of(brief), altitude_fault(scenario, uav, brief)
+        if fault:
+            what = f"sight cannot be certified: {fault}"
+            found.append(Shortfall(uav.name, "", Frequency.THROUGHOUT, what))
+            continue
         found += [
             Shortfall(uav.name, "", Frequency.THROUGHOUT, f"sight cannot be certified: {fault}")
             for fault in check_assumptions(bounds)

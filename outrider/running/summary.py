@@ -173,7 +173,7 @@ def _uav_metrics(flight: "Flight", rows: list[int]) -> dict[str, Any]:
         flight: Flight with its record.
         rows: Rows of the escorts; means are over all their ticks.
     """
-    recorder, world, r_v = flight.recorder, flight.world, flight.scenario.visibility.radius
+    recorder, world = flight.recorder, flight.world
     recorded = recorder.escorts[:, rows]
     distance, error = recorded[:, :, 0], recorded[:, :, 1]
     pairs = world.escorts[rows]
@@ -183,7 +183,7 @@ def _uav_metrics(flight: "Flight", rows: list[int]) -> dict[str, Any]:
     return {
         "max_distance": float(distance.max()) if distance.size else None,
         "mean_distance": _mean(distance),
-        "visibility_violations": int((distance >= r_v).sum()),
+        "visibility_violations": int(recorder.lost[:, rows].sum()),
         "switching_radius": next(iter(radii), None),
         "crossings": int((beyond[1:] & ~beyond[:-1]).sum()),
         "initial_error": _mean(error[0]),

@@ -137,12 +137,14 @@ class Link:
 
 
 class Packet:
-    """One message on a link. Each kind of link uses some of the first seven fields."""
+    """One message on a link. Each kind of link uses some of the first eight fields."""
 
     stamp: float
     """Tick of its content. In a list of messages to send, -1: none."""
     vector: Vector
     """Relative position p_a - p_g [m], or acceleration [m/s²]."""
+    vertical: float
+    """Vertical acceleration of a UAV's command [m/s²]."""
     error: float
     """True error of a detection [m], for the counters; not sent to vehicles."""
     plan: int

@@ -8,8 +8,10 @@ from bus.messages.ground import UavGround, UgvGround
 from bus.messages.links import LinkKind
 from bus.messages.scenario import Detector, Limits, SafetyParameters
 from bus.messages.vehicle import Briefing, UavBriefing, UgvBriefing
+from bus.registry import CAUTIONS
 from sim.channel.description import longest_delay
 from sim.engine.run_keys import derive_key
+from sim.models.camera import noise_at
 from sim.models.inner_loop import tracking_error
 from sim.models.randomness import BUILDING_FIELDS, PILOT, words_of
 from sim.models.safety import SafetyBounds, safety_bounds
@@ -24,10 +26,38 @@ def limits(vehicle: Uav | Ugv) -> Limits:
     )
 
 
-def _error(scenario: Scenario) -> float | None:
-    """Return the largest error of a detection [m]; None: unbounded."""
-    noise = scenario.detections.noise
+def _error(scenario: Scenario, uav: Uav) -> float | None:
+    """Return the largest error of a detection [m]; None: unbounded.
+
+    With an altitude, the noise is largest at the highest altitude and the farthest detection.
+    """
+    noise, limits = scenario.detections.noise, altitude_limits(scenario, uav)
+    if noise > 0.0 and limits is not None:
+        reach = scenario.sensor.range
+        reference = scenario.camera.reference_altitude
+        noise = noise_at(noise, reference, reach, limits.max_altitude)
     return or_none(noise * scenario.detections.truncation) if noise > 0.0 else 0.0
+
+
+def detector_noise(scenario: Scenario, uav: Uav) -> float:
+    """Return the standard deviation of a detection per axis, by which the UAV's estimator weighs it [m].
+
+    With an altitude, that of a UGV below the UAV at its initial altitude.
+    """
+    noise, limits = scenario.detections.noise, altitude_limits(scenario, uav)
+    if limits is None:
+        return noise
+    reference = scenario.camera.reference_altitude
+    return float(noise_at(noise, reference, 0.0, limits.initial_altitude))
+
+
+def guaranteed_clearance(scenario: Scenario, ugv: Ugv) -> float:
+    """Return the distance from every building that a UGV guarantees to keep [m]; 0: none.
+
+    The cautious driver `navigate` keeps it if it knows the buildings; no other driver guarantees any.
+    """
+    cautious = ugv.driver == "navigate" and ugv.caution == CAUTIONS[0]
+    return ugv.building_clearance if cautious and scenario.buildings.known else 0.0
 
 
 def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
@@ -51,13 +81,13 @@ def safety_parameters(scenario: Scenario, uav: str) -> SafetyParameters:
     """Return the parameters of a UAV's safety filter."""
     given = scenario.certificate
     tracking = given.max_tracking_error
+    (vehicle,) = (one for one in scenario.uav if one.name == uav)
     if tracking is None:
-        (vehicle,) = (one for one in scenario.uav if one.name == uav)
         tracking = or_none(largest_tracking_error(scenario, vehicle))
     return SafetyParameters(
         max_measurement_error=given.max_measurement_error
         if given.max_measurement_error is not None
-        else _error(scenario),
+        else _error(scenario, vehicle),
         max_measurement_age=given.max_measurement_age or DEFAULT_AGE,
         max_command_delay=command_delay(scenario, uav),
         max_command_interval=scenario.dt
@@ -82,12 +112,23 @@ def monitored_bounds(scenario: Scenario, uav: str) -> SafetyBounds:
     )
 
 
-def known_buildings(scenario: Scenario, seed: int, secret: str = "") -> tuple[Building, ...]:
-    """Return the buildings on which the vehicles are briefed; empty if they have no map."""
-    if not (scenario.has_buildings and scenario.buildings.known):
-        return ()
+def all_buildings(scenario: Scenario, seed: int, secret: str = "") -> tuple[Building, ...]:
+    """Return the buildings of a run."""
     key = words_of(derive_key(seed, BUILDING_FIELDS, 0, secret))
     return run_buildings(scenario, key)
+
+
+def known_buildings(
+    scenario: Scenario, vehicle: Uav | Ugv, seed: int, secret: str = ""
+) -> tuple[Building, ...]:
+    """Return the buildings on which a vehicle is briefed; empty if it has no map.
+
+    A UAV is briefed on the buildings at given positions only. Those of a field stay clear of the UGVs' goals, so they
+    would reveal something of the goals.
+    """
+    if not scenario.has_buildings or not scenario.buildings.known:
+        return ()
+    return scenario.building if isinstance(vehicle, Uav) else all_buildings(scenario, seed, secret)
 
 
 def _common(scenario: Scenario, vehicle: Uav | Ugv, seed: int, secret: str) -> dict[str, Any]:
@@ -99,7 +140,7 @@ def _common(scenario: Scenario, vehicle: Uav | Ugv, seed: int, secret: str) -> d
         "area": scenario.area,
         "limits": limits(vehicle),
         "key": derive_key(seed, PILOT, row, secret),
-        "buildings": known_buildings(scenario, seed, secret),
+        "buildings": known_buildings(scenario, vehicle, seed, secret),
     }
 
 
@@ -117,7 +158,7 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         covered=scenario.coverage.covered,
         law=scenario.law,
         detector=Detector(
-            noise=scenario.detections.noise,
+            noise=detector_noise(scenario, uav),
             truncation=or_none(scenario.detections.truncation),
             period=scenario.detection_period * scenario.dt,
         ),
@@ -130,7 +171,7 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         altitude=altitude,
         camera=None if altitude is None else scenario.camera,
         marker_height=escorted.marker_height,
-        building_clearance=escorted.building_clearance,
+        building_clearance=guaranteed_clearance(scenario, escorted),
         max_building_height=max_building_height(scenario),
         origin=scenario.origin,
     )

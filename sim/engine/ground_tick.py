@@ -7,13 +7,16 @@ hazards all arrays are empty, and nothing is done.
 
 import math
 
-from sim.compiling.compile import FloatArray, IntArray, compiled
+from sim.compiling.compile import FloatArray, compiled
 from sim.engine.ground_state import GroundParameters, GroundState
-from sim.engine.world_state import BatchState, Vehicle, WorldParameters
+from sim.engine.space_tick import view_of
+from sim.engine.world_state import BatchState, BatchTables, Vehicle, WorldParameters
 from sim.models.field import accumulate
 from sim.models.ground import CERTIFIED, CLEAR, UNSEEN, TileArray, state_at, tile_index
 from sim.models.hazards import BLOCK, ROUGH, crosses_hazard, rough_share
 from sim.models.randomness import GROUND_LOOK, TILE_CHANCE, WordArray, key_of, uniform
+from sim.models.sensor import SensorParameters
+from sim.models.shadows import Occlusion
 
 _POINTS = 8
 """Segments of the path driven in a tick, whose ends are checked for tiles."""
@@ -55,9 +58,24 @@ def _reported_state(
 
 @compiled
 def _update_sensor(
-    numbers: WorldParameters, ground: GroundState, one: Vehicle, world: int, uav: int, vehicle: int
+    numbers: WorldParameters,
+    ground: GroundState,
+    one: Vehicle,
+    sensor: SensorParameters,
+    occlusion: Occlusion | None,
+    place: tuple[int, int, int],
 ) -> None:
-    """Update a UAV's ground sensor at its reference position."""
+    """Update a UAV's ground sensor at its reference position.
+
+    Args:
+        numbers: Parameters of the world.
+        ground: Ground of all worlds; changed.
+        one: The UAV.
+        sensor: Its sensor, at its altitude.
+        occlusion: Buildings, as seen from there; None: there are none.
+        place: World, row among the UAVs, and row among the vehicles.
+    """
+    world, uav, vehicle = place
     settings = ground.parameters[0]
     x, y = one.reference_position[0], one.reference_position[1]
     looked, known = ground.looked[world, uav], ground.known[world, vehicle]
@@ -65,12 +83,13 @@ def _update_sensor(
         looked,
         x,
         y,
-        numbers.sensor,
+        sensor,
         settings.tile,
         settings.period * numbers.dt,
+        occlusion,
     )
-    first_row, end_row = _tile_range(y, numbers.sensor.reach, settings.tile, looked.shape[0])
-    first, end = _tile_range(x, numbers.sensor.reach, settings.tile, looked.shape[1])
+    first_row, end_row = _tile_range(y, sensor.reach, settings.tile, looked.shape[0])
+    first, end = _tile_range(x, sensor.reach, settings.tile, looked.shape[1])
     for row in range(first_row, end_row):
         sums, states, news = looked[row, first:end], known[row, first:end], 0
         for i in range(sums.size):  # count first, vectorized: mostly there are none
@@ -228,15 +247,17 @@ def store_positions(ground: GroundState, state: BatchState, world: int) -> None:
 
 @compiled
 def perceive_ground(
-    numbers: WorldParameters, ground: GroundState, state: BatchState, escorts: IntArray, world: int
+    tables: BatchTables, ground: GroundState, state: BatchState, world: int
 ) -> None:
     """Report the tiles that each vehicle's sensor has observed since the previous tick."""
-    tick = state.ticks[world]
+    numbers, escorts, tick = tables.world[0], tables.escorts, state.ticks[world]
     for v in range(ground.report_counts.shape[1]):
         ground.report_counts[world, v] = 0
     if tick > 0 and tick % ground.parameters[0].period == 0:
         for u in range(escorts.shape[0]):
             v = escorts[u, 0]
-            _update_sensor(numbers, ground, state.vehicles[world, v], world, u, v)
+            one = state.vehicles[world, v]
+            sensor, occlusion = view_of(numbers, state.town, world, tables.cameras, u, one)
+            _update_sensor(numbers, ground, one, sensor, occlusion, (world, u, v))
     for n in range(ground.ugvs.shape[0]):
         _sense_near(ground, state.vehicles[world, ground.ugvs[n]], world, ground.ugvs[n])

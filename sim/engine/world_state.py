@@ -13,12 +13,14 @@ from bus.ticks import MOST_TICKS
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import Pair, RecordArray, record_type, records
 from sim.engine.briefing import monitored_bounds, ugv_carries
+from sim.engine.space_state import TownState, cameras_of
+from sim.models.altitude import VerticalMotion, vertical_motion
 from sim.models.field import cover, empty_coverage
 from sim.models.inner_loop import Disturbance
 from sim.models.randomness import RUN_PURPOSES, WordArray
 from sim.models.sensor import SensorParameters, sensor_parameters
 from sim.models.wind import DisturbanceParameters
-from sim.scenario.types import Scenario, Uav, Ugv
+from sim.scenario.types import Scenario, Uav, Ugv, altitude_limits
 
 
 class WorldParameters(NamedTuple):
@@ -102,11 +104,15 @@ class Vehicle:
     """Relative position that a UAV has detected at this tick [m]; NaN: none."""
     gain: float
     """Decrease of e(t) by the last sensor update of a UAV [m²]."""
+    sight_radius: float
+    """Distance within which a UAV sees its UGV [m]: r_v at its altitude, or 0 while a building hides the UGV."""
     distance: float
     coverage_error: float
     """Distance of a UAV from its UGV [m], and e(t) (4) with the true p_g [m²], at their last measurement."""
     disturbance: Disturbance
     """Tracking error of a UAV and its causes."""
+    vertical: VerticalMotion
+    """Altitude of a UAV, and its climb."""
     keys: Annotated[WordArray, (RUN_PURPOSES, 2)]
     """Keys of its random numbers."""
 
@@ -130,6 +136,8 @@ class BatchTables(NamedTuple):
     """Index of each UGV's first goal, and the end. Shape (UGVs + 1,)."""
     tolerances: FloatArray
     """Goal tolerance of each UGV [m]. Shape (UGVs,)."""
+    cameras: RecordArray | None
+    """`CameraParameters` of each UAV; None: the UAVs fly in the plane. Shape (UAVs,)."""
 
 
 class BatchState(NamedTuple):
@@ -153,6 +161,8 @@ class BatchState(NamedTuple):
 
     Shape (worlds, links).
     """
+    town: TownState | None
+    """Buildings; None: there are none."""
     packets: RecordArray
     """`Packet`: in transit, queued, and arrived at this tick. Shape (worlds, links, 3, room)."""
 
@@ -175,6 +185,7 @@ def first_vehicles(scenario: Scenario) -> RecordArray:
         if isinstance(one, Uav):
             bounds = monitored_bounds(scenario, one.name)
             row["delay_ticks"], row["interval_ticks"] = bounds.delay_ticks, bounds.interval_ticks
+            row["vertical"] = vertical_motion(altitude_limits(scenario, one))[0]
         row["position"] = row["reference_position"] = one.position
         row["velocity"] = row["reference_velocity"] = one.velocity
     vehicles["command_tick"] = vehicles["outgoing_tick"] = vehicles["outgoing_motion"] = -1
@@ -222,6 +233,7 @@ def batch_tables(scenario: Scenario, parameters: WorldParameters, traces: IntArr
         goals=goals,
         goal_rows=goal_rows,
         tolerances=np.array([one.goal_tolerance for _, one in ugvs], dtype=np.float64),
+        cameras=cameras_of(scenario),
     )
 
 

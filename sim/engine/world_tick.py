@@ -6,11 +6,19 @@ import numpy as np
 
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED
-from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
+from sim.compiling.compile import IntArray, compiled, inlined
 from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState
 from sim.engine.ground_tick import drive_on, perceive_ground, store_positions
 from sim.engine.mission import record_mission
+from sim.engine.space_state import TownState
+from sim.engine.space_tick import (
+    climb_all,
+    detect_below,
+    keep_places,
+    look_down,
+    measure_sight,
+)
 from sim.engine.world_state import BatchState, BatchTables, Vehicle, WorldParameters
 from sim.models.detection import detect
 from sim.models.field import Demand, accumulate, accumulate_with_gain, coverage_error
@@ -73,38 +81,51 @@ def _reset_to_reference(vehicle: Vehicle) -> None:
         vehicle.velocity[i] = vehicle.reference_velocity[i]
 
 
-@inlined
-def _look(numbers: WorldParameters, state: BatchState, escorts: IntArray, world: int) -> None:
-    """Update the coverage with every UAV's sensor, (3)."""
-    coverage = state.coverage[world]
-    for k in range(escorts.shape[0]):
-        uav, ugv = state.vehicles[world, escorts[k, 0]], state.vehicles[world, escorts[k, 1]]
-        if numbers.gains:
-            uav.gain = accumulate_with_gain(
-                coverage,
-                uav.position[0],
-                uav.position[1],
-                Demand(ugv.position[0], ugv.position[1], numbers.r_o, numbers.desired),
-                numbers.sensor,
-                numbers.cell,
-                numbers.dt,
-            )
-        else:
-            accumulate(
-                coverage,
-                uav.position[0],
-                uav.position[1],
-                numbers.sensor,
-                numbers.cell,
-                numbers.dt,
-            )
+@compiled
+def _look(
+    numbers: WorldParameters,
+    state: BatchState,
+    cameras: RecordArray | None,
+    world: int,
+    k: int,
+    uav: Vehicle,
+    ugv: Vehicle,
+) -> None:
+    """Update the coverage with the sensor of the k-th UAV, (3)."""
+    coverage, place = state.coverage[world], uav.position
+    if cameras is not None:
+        look_down(numbers, coverage, state.town, world, cameras[k], uav, ugv)
+    elif numbers.gains:
+        uav.gain = accumulate_with_gain(
+            coverage,
+            place[0],
+            place[1],
+            Demand(ugv.position[0], ugv.position[1], numbers.r_o, numbers.desired),
+            numbers.sensor,
+            numbers.cell,
+            numbers.dt,
+        )
+    else:
+        accumulate(coverage, place[0], place[1], numbers.sensor, numbers.cell, numbers.dt)
 
 
-@inlined
-def _detect(numbers: WorldParameters, uav: Vehicle, ugv: Vehicle, tick: int) -> None:
-    """Run a UAV's detector of its UGV, if it is due at this tick."""
+@compiled
+def _detect(
+    numbers: WorldParameters,
+    town: TownState | None,
+    cameras: RecordArray | None,
+    place: tuple[int, int, int],
+    uav: Vehicle,
+    ugv: Vehicle,
+) -> None:
+    """Run a UAV's detector of its UGV, if it is due. `place`: world, row among the UAVs, and tick."""
+    world, k, tick = place
     uav.detection[0], uav.detection[1] = np.nan, np.nan
-    if tick % numbers.period == 0:
+    if tick % numbers.period != 0:
+        return
+    if cameras is not None:
+        detect_below(numbers, town, world, cameras[k], uav, ugv, tick)
+    else:
         _, uav.detection[0], uav.detection[1] = detect(
             uav.position[0] - ugv.position[0],
             uav.position[1] - ugv.position[1],
@@ -120,31 +141,23 @@ def _detect(numbers: WorldParameters, uav: Vehicle, ugv: Vehicle, tick: int) -> 
 
 
 @compiled
-def measure(
-    parameters: RecordArray,
-    vehicles: RecordArray,
-    escorts: IntArray,
-    coverage: FloatArray,
-    world: int,
-    error: bool,
-) -> None:
-    """Measure the distance [m], and e(t) (4) with the true p_g [m²], of each UAV of a world.
+def measure(tables: BatchTables, state: BatchState, world: int, error: bool) -> None:
+    """Measure the distance [m], the radius of sight [m], and e(t) (4) with the true p_g [m²], of each UAV of a world.
 
     Args:
-        parameters: `WorldParameters`. Shape (1,).
-        vehicles, coverage: State of all worlds; `distance` and `coverage_error` are changed.
-        escorts: Rows (UAV, UGV). Shape (UAVs, 2).
+        tables, state: Worlds; `distance`, `sight_radius` and `coverage_error` are changed.
         world: Index of the world.
         error: False: set e(t) to 0.
     """
-    numbers = parameters[0]
+    numbers, escorts, vehicles = tables.world[0], tables.escorts, state.vehicles
     for k in range(escorts.shape[0]):
         uav, ugv = vehicles[world, escorts[k, 0]], vehicles[world, escorts[k, 1]]
         uav.distance = norm(uav.position[0] - ugv.position[0], uav.position[1] - ugv.position[1])
+        measure_sight(numbers, state.town, world, tables.cameras, k, uav, ugv)
         uav.coverage_error = 0.0
         if error:
             uav.coverage_error = coverage_error(
-                coverage[world],
+                state.coverage[world],
                 ugv.position[0],
                 ugv.position[1],
                 numbers.r_o,
@@ -188,6 +201,8 @@ def _fly_motion(numbers: WorldParameters, state: BatchState, world: int, v: int)
         vehicle.max_acceleration,
         numbers.dt,
     )
+    first = flown.begins >= 0 and flown.age == 0
+    vehicle.vertical.command = flown.vertical_acceleration if first else math.nan
     flown.age += 1
     return True
 
@@ -216,6 +231,7 @@ def _exchange_commands(state: BatchState, traces: IntArray, world: int, v: int, 
         packet = state.packets[world, row, ARRIVED, 0]
         packet.stamp = vehicle.outgoing_tick
         packet.vector[0], packet.vector[1] = vehicle.outgoing[0], vehicle.outgoing[1]
+        packet.vertical = vehicle.vertical.outgoing
         packet.plan, packet.plans = vehicle.outgoing_motion, vehicle.outgoing_motions
         send(link, state.packets, world, traces, packet)
         vehicle.outgoing_tick = vehicle.outgoing_motion = -1
@@ -227,6 +243,7 @@ def _exchange_commands(state: BatchState, traces: IntArray, world: int, v: int, 
         if packet.stamp > vehicle.command_tick:
             vehicle.command_tick = int(packet.stamp)
             vehicle.command[0], vehicle.command[1] = packet.vector[0], packet.vector[1]
+            vehicle.vertical.command = packet.vertical
             if vehicle.follows_motions and _acts_bare(state, world, v, int(packet.plan)):
                 flown = state.flown[world, v, 0]
                 flown.begins, flown.plain = NO_MOTION, 1
@@ -250,6 +267,7 @@ def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None
             vehicle.command[0], vehicle.command[1] = brake(
                 velocity[0], velocity[1], vehicle.max_acceleration, numbers.dt
             )
+            vehicle.vertical.command = math.nan
 
 
 @inlined
@@ -272,12 +290,18 @@ def _perceive(
     """
     numbers = tables.world[0]
     if ground is not None:
-        perceive_ground(numbers, ground, state, tables.escorts, world)
+        perceive_ground(tables, ground, state, world)
         record_mission(tables, state, ground, world)
     for u in range(tables.escorts.shape[0]):
         uav, ugv = tables.escorts[u, 0], tables.escorts[u, 1]
-        vehicles = state.vehicles
-        _detect(numbers, vehicles[world, uav], vehicles[world, ugv], state.ticks[world])
+        _detect(
+            numbers,
+            state.town,
+            tables.cameras,
+            (world, u, state.ticks[world]),
+            state.vehicles[world, uav],
+            state.vehicles[world, ugv],
+        )
 
 
 @inlined
@@ -287,16 +311,28 @@ def move(tables: BatchTables, state: BatchState, ground: GroundState | None, wor
     state.ticks[world] += 1
     if ground is not None:
         store_positions(ground, state, world)
+    keep_places(state, tables.cameras, tables.escorts, world)
     _move(numbers, state.vehicles, ground, world)
+    climb_all(numbers, state, tables.cameras, tables.escorts, world)
     if ground is not None:
         drive_on(numbers, ground, state, world)
     for v in range(state.vehicles.shape[1]):
         _reset_to_reference(state.vehicles[world, v])
     for u in range(tables.disturbances.shape[0]):
-        uav = state.vehicles[world, tables.escorts[u, 0]]
-        step_error(tables.disturbances[u].loop, uav.disturbance, numbers.dt)
-        apply_disturbance(uav)
-    _look(numbers, state, tables.escorts, world)
+        disturbed = state.vehicles[world, tables.escorts[u, 0]]
+        step_error(tables.disturbances[u].loop, disturbed.disturbance, numbers.dt)
+        apply_disturbance(disturbed)
+    for u in range(tables.escorts.shape[0]):
+        uav, ugv = tables.escorts[u, 0], tables.escorts[u, 1]
+        _look(
+            numbers,
+            state,
+            tables.cameras,
+            world,
+            u,
+            state.vehicles[world, uav],
+            state.vehicles[world, ugv],
+        )
     _perceive(tables, state, ground, world)
 
 

@@ -141,7 +141,7 @@ def _measure_uav(bt: BatchTables, bs: BatchState, state: RowState, world: int, u
     row, vehicle = state.standings[world, v], bs.vehicles[world, v]
     distance, error = vehicle.distance, vehicle.coverage_error
     row.was_lost = row.lost
-    row.lost = distance >= bt.world[0].r_v
+    row.lost = distance >= vehicle.sight_radius
     row.distance = distance
     row.max_distance = max(row.max_distance, distance)
     row.violations += 1 if row.lost else 0

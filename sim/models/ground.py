@@ -12,7 +12,8 @@ import numpy.typing as npt
 from bus.messages.ground import BLOCK_SIDE, TILE_LETTERS
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray
-from sim.models.hazards import BLOCK, FOUND, ROUGH, TOUCH, segment_distance2
+from sim.models.hazards import BLOCK, FOUND, ROUGH, TOUCH
+from sim.models.polygons import segment_distance2
 
 TileArray = npt.NDArray[np.uint8]
 """Map of tiles. Shape (rows, columns)."""

@@ -45,31 +45,6 @@ class HazardRow(NamedTuple):
 
 
 @compiled
-def segment_distance2(a_x: float, a_y: float, b_x: float, b_y: float, x: float, y: float) -> float:
-    """Return the squared distance of (x, y) from the segment from a to b [m²]."""
-    d_x, d_y, e_x, e_y = b_x - a_x, b_y - a_y, x - a_x, y - a_y
-    along, length2 = e_x * d_x + e_y * d_y, d_x * d_x + d_y * d_y
-    if along > 0.0:
-        share = 1.0 if along >= length2 else along / length2
-        e_x, e_y = e_x - share * d_x, e_y - share * d_y
-    return e_x * e_x + e_y * e_y
-
-
-@compiled
-def _met(
-    p_x: float, p_y: float, d_x: float, d_y: float, a_x: float, a_y: float, b_x: float, b_y: float
-) -> float:
-    """Return the share of the path from p by d at which it meets the segment a to b; infinite: never, or parallel."""
-    e_x, e_y = b_x - a_x, b_y - a_y
-    turn = d_x * e_y - d_y * e_x
-    if turn == 0.0:
-        return math.inf
-    way = ((a_x - p_x) * e_y - (a_y - p_y) * e_x) / turn
-    along = ((a_x - p_x) * d_y - (a_y - p_y) * d_x) / turn
-    return way if 0.0 <= way <= 1.0 and 0.0 <= along <= 1.0 else math.inf
-
-
-@compiled
 def distance_to_hazard(
     hazards: RecordArray, corners: FloatArray, k: int, x: float, y: float
 ) -> float:
@@ -88,16 +63,8 @@ def distance_to_hazard(
     if row["corners"] == 0:
         away: float = norm(x - row["x"], y - row["y"]) - row["radius"]
         return max(away, 0.0)
-    end = row["first"] + row["corners"]
-    inside, nearest = False, math.inf
-    a_x, a_y = corners[end - 1, 0], corners[end - 1, 1]
-    for n in range(row["first"], end):
-        b_x, b_y = corners[n, 0], corners[n, 1]
-        nearest = min(nearest, segment_distance2(a_x, a_y, b_x, b_y, x, y))
-        if (a_y > y) != (b_y > y) and x < a_x + (b_x - a_x) * (y - a_y) / (b_y - a_y):
-            inside = not inside
-        a_x, a_y = b_x, b_y
-    return 0.0 if inside else math.sqrt(nearest)
+    distance: float = distance_to_polygon(corners, row["first"], row["corners"], x, y)
+    return distance
 
 
 @compiled

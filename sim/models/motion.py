@@ -36,6 +36,8 @@ class CheckedTrajectory(BackupTrajectory, frozen=True):
     end_radius: float = math.inf
     end_tick: int = 0
     """Disc around its end that certainly contained the UGV in that tick [m]; infinite: none is known."""
+    floor: float = -math.inf
+    """Altitude above which it was checked [m]."""
 
 
 NO_CHECKED = records(

@@ -47,6 +47,8 @@ class SafetyBounds(NamedTuple):
     """R_h: a plan may end where the UGV is certainly within this distance [m]; NaN: none."""
     handover_bound: float
     """E: a plan may end only if the newest measurement's own bound is at most this [m]; NaN: none."""
+    floor: float
+    """Altitude from which these bounds hold [m]; minus infinity in the plane."""
     valid: bool
     """True if no assumption is known to be violated; `agents.safety.handover.check_assumptions` gives the texts."""
 
@@ -61,6 +63,31 @@ def tick_sagitta(v_a: float, u_a: float, dt: float) -> float:
     return min(0.125 * u_a * dt * dt, 0.25 * v_a * dt)
 
 
+@compiled
+def visible_radius(
+    z: float, r_v: float, tangent: float, marker: float, tallest: float, clearance: float
+) -> float:
+    r"""Return the distance within which a UGV is visible from altitude z, whatever the buildings [m].
+
+    $$ R(z) = \min\left(r_v,\; (z - h_m) \tan\theta,\; c\,\frac{z - h_m}{h - h_m}\right) $$
+
+    Args:
+        z: Altitude of the UAV [m].
+        r_v: Visibility radius [m].
+        tangent: Tangent of the camera's half angle.
+        marker: Height h_m of the UGV's marker [m].
+        tallest: Height h of the highest building [m]; at most h_m: buildings hide nothing.
+        clearance: Distance c that the UGV keeps from every building [m].
+    """
+    above = z - marker
+    radius = max(0.0, min(r_v, above * tangent))
+    if tallest <= marker:
+        return radius
+    if z <= tallest:
+        return 0.0
+    return min(radius, clearance * above / (tallest - marker))
+
+
 def safety_bounds(
     safety: SafetyParameters,
     *,
@@ -71,6 +98,7 @@ def safety_bounds(
     dt: float,
     width: float = math.inf,
     height: float = math.inf,
+    floor: float = -math.inf,
 ) -> SafetyBounds:
     """Convert declared parameters, without the hand-over: R_h and E are NaN, and `valid` is False.
 
@@ -81,6 +109,7 @@ def safety_bounds(
         v_g: Bound of the UGV [m/s].
         dt: Duration of a tick [s].
         width, height: Size of the area [m].
+        floor: Altitude from which they hold [m].
     """
     declared = safety.max_tracking_error, safety.max_measurement_error
     tracking, error = map(or_infinite, declared)
@@ -102,5 +131,6 @@ def safety_bounds(
         interval_ticks=max(1, ticks_within(safety.max_command_interval, dt)),
         handover_radius=math.nan,
         handover_bound=math.nan,
+        floor=float(floor),
         valid=False,
     )

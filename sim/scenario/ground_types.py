@@ -60,7 +60,9 @@ class Buildings(Table, frozen=True, kw_only=True):
     """Map of the buildings."""
 
     known: bool = True
-    """Brief all vehicles on the buildings; false: no vehicle has the map."""
+    """Brief the vehicles on the buildings; false: no vehicle has the map. UAVs get those at given positions only:
+    blocks of a field stay clear of the UGVs' goals, which no UAV may know.
+    """
 
 
 class BuildingField(Table, frozen=True, kw_only=True):

@@ -362,6 +362,11 @@ class Scenario(Table, frozen=True, kw_only=True):
         return bool(self.hazard or self.hazard_field or self.has_buildings)
 
     @property
+    def has_altitude(self) -> bool:
+        """True if the UAVs have an altitude."""
+        return any(uav.initial_altitude is not None for uav in self.uav)
+
+    @property
     def has_buildings(self) -> bool:
         """True if the scenario has buildings, or fields of buildings."""
         return bool(self.building or self.building_field)

@@ -110,7 +110,7 @@ class Answers:
         """Finish the run, after its last state was recorded: no vehicle sends a command for it."""
         self.evaluate()
         for uav in range(len(self._uavs)):
-            self.assurance.end(uav, self._recorder.distance(self._world.tick, uav))
+            self.assurance.end(uav, self._recorder.is_lost(self._world.tick, uav))
 
     def _count(self, tick: int, commands: Mapping[str, Command]) -> None:
         """Count late commands, and commands above the vehicle's bound."""
@@ -149,8 +149,8 @@ class Answers:
         if self._disturbed and (watched or (report and report.decision is not None)):
             self.assurance.track(uav, self._recorder.tracking_error_at(tick, uav))
         said = tick if command is None else command.tick
-        distance = self._recorder.distance(said, uav)
-        self.assurance.record(uav, tick, command, self._evidence, distance, watched=watched)
+        lost = self._recorder.is_lost(said, uav)
+        self.assurance.record(uav, tick, command, self._evidence, lost, watched=watched)
 
     def _check_pilot(self, uav: int, command: UavCommand, tick: int, law: str) -> None:
         """Detect a UAV flown by the user's program: Outrider's pilot always reports once it has a detection."""

@@ -40,7 +40,7 @@ class Assurance:
         """Largest distance so far of a UAV from its reference position [m]."""
         rows = [k for k, one in enumerate(scenario.vehicles) if isinstance(one, Uav)]
         uavs, self._rows = [scenario.vehicles[k].name for k in rows], rows  # in the world's order
-        self._radius, self._dt = scenario.visibility.radius, scenario.dt
+        self._dt = scenario.dt
         self._disturbed = scenario.disturbed
         bounds = [monitored_bounds(scenario, uav) for uav in uavs]
         self._interval = max((one.interval_ticks for one in bounds), default=1)
@@ -101,7 +101,7 @@ class Assurance:
         tick: int,
         command: UavCommand | None,
         evidence: Evidence,
-        distance: float,
+        lost: bool,
         *,
         watched: bool = True,
     ) -> None:
@@ -112,7 +112,7 @@ class Assurance:
             tick: The tick.
             command: New command with its report; in real time it may answer an earlier tick. None: no command.
             evidence: True state of the tick.
-            distance: True distance at the reported tick [m].
+            lost: True if the UGV was out of sight at the reported tick.
             watched: True if its control law has a safety filter.
         """
         report = None if command is None else command.report
@@ -134,13 +134,13 @@ class Assurance:
             reason, current = decision.reason, command is not None and command.tick == tick
         if reason is not None:
             self.reasons[reason] += 1
-        claim = certified, overridden, distance >= self._radius, current
+        claim = certified, overridden, lost, current
         rows = uav, self._rows[uav], tick
         record_tick(self._tables, evidence, rows, command is not None, claim)
 
-    def end(self, uav: int, distance: float) -> None:
-        """Finish the run: check the last tick's certificate against the final distance from the UGV [m]."""
-        record_end(self._counts[uav], distance >= self._radius)
+    def end(self, uav: int, lost: bool) -> None:
+        """Finish the run: check the last tick's certificate; `lost`: the UGV is out of sight at the end."""
+        record_end(self._counts[uav], lost)
 
     def shares(self, uav: int) -> tuple[float | None, float | None]:
         """Return the shares of a UAV's supervised ticks that were certified, and that were overridden."""

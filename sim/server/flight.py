@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Protocol
 
 import msgspec
+import numpy as np
 
 from bus.messages.base import Vector
 from bus.messages.control import Action, Change, Control
@@ -247,7 +248,10 @@ class Flight:
         """
         perception = self.perceptions[name]
         reference = self.recorder.reference[begin:end, perception.row]
-        return perception.past(begin, end, reference, missed)
+        heights = self.recorder.heights[begin:end, :, :2]
+        row = self._uav_row.get(name)
+        own = np.zeros((end - begin, 2)) if row is None or not heights.size else heights[:, row]
+        return perception.past(begin, end, reference, own, missed)
 
     def apply(self, commands: Mapping[str, Command]) -> None:
         """Send these commands, and advance by one tick under the commands that have arrived.
@@ -264,7 +268,8 @@ class Flight:
                 world.record_claim(k, report if command and command.tick == world.tick else None)
             if command is None:
                 continue
-            world.send(k, command.tick, command.acceleration, command.backup_trajectories)
+            vertical = command.vertical_acceleration if isinstance(command, UavCommand) else 0.0
+            world.send(k, command.tick, command.acceleration, command.backup_trajectories, vertical)
             if isinstance(command, UavCommand):
                 self.radio.send(k, command)
             elif command.route is not None:
@@ -319,6 +324,22 @@ class Flight:
         if not self._abandoned:
             exchange.publish(self.observations())
 
+    def _heights(self) -> dict[str, dict[str, float]]:
+        """Return the fields of `VehicleTruth` of the vertical motion, of each UAV that has an altitude."""
+        if not self.scenario.has_altitude:
+            return {}
+        rows = self.world.vertical[self.world.escorts[:, 0]]
+        return {
+            uav.name: {"altitude": z, "climb_rate": rate, "vertical_acceleration": u}
+            for uav, z, rate, u in zip(
+                self.world.uavs,
+                rows["altitude"].tolist(),
+                rows["rate"].tolist(),
+                rows["acceleration"].tolist(),
+                strict=True,
+            )
+        }
+
     def truth(self) -> Truth:
         """Return the true state without the coverage grid, for observers."""
         world = self.world
@@ -327,12 +348,18 @@ class Flight:
         self.take_down()
         measures = self.recorder.escorts[world.tick, :, :2].tolist()
         detections = world.detections.tolist()
+        heights = self._heights()
+        radii = self.recorder.heights[world.tick, :, 3].tolist()
         return Truth(
             tick=world.tick,
             time=world.time,
             vehicles={
                 name: VehicleTruth(
-                    position=tuple(p), velocity=tuple(v), acceleration=tuple(u), command=tuple(c)
+                    position=tuple(p),
+                    velocity=tuple(v),
+                    acceleration=tuple(u),
+                    command=tuple(c),
+                    **heights.get(name, {}),
                 )
                 for name, (p, v, u, c) in zip(world.names, rows, strict=True)
             },
@@ -341,6 +368,7 @@ class Flight:
                     uav=uav.name,
                     ugv=uav.escorts,
                     distance=measures[k][0],
+                    sight_radius=radii[k] if radii else None,
                     coverage_error=max(0.0, measures[k][1]),
                     detection=tuple(detections[k])
                     if detections[k][0] == detections[k][0]

@@ -34,6 +34,8 @@ class News:
 
 
 _NO_NEWS = News()
+OwnMotion = tuple[Vector, Vector, Vector]
+"""Reference position [m] and velocity [m/s] of a vehicle, and its altitude [m] with its climb rate [m/s]."""
 
 
 class Perception(ABC):
@@ -73,10 +75,17 @@ class Perception(ABC):
         vehicle = self._world.vehicles[self.row]
         x, y = vehicle["reference_position"].tolist()
         v_x, v_y = vehicle["reference_velocity"].tolist()
-        return self._observation(self._world.tick, ((x, y), (v_x, v_y)), self._now, over=over)
+        height = vehicle["vertical"]["altitude"].item(), vehicle["vertical"]["rate"].item()
+        motion = (x, y), (v_x, v_y), height
+        return self._observation(self._world.tick, motion, self._now, over=over)
 
     def past(
-        self, begin: int, end: int, reference: FloatArray, missed: Collection[int]
+        self,
+        begin: int,
+        end: int,
+        reference: FloatArray,
+        heights: FloatArray,
+        missed: Collection[int],
     ) -> tuple[Observation, ...]:
         """Return the observations from tick `begin` up to `end`, for a process that rejoins.
 
@@ -84,19 +93,21 @@ class Perception(ABC):
             begin: First tick.
             end: Tick after the last one.
             reference: Reference position [m] and velocity [m/s] in between. Shape (ticks, 4).
+            heights: Altitude [m] and climb rate [m/s] in between. Shape (ticks, 2).
             missed: Ticks whose observation was not sent: the vehicle receives only its own state, law and driver for
                 them.
         """
+        rows = zip(reference.tolist(), heights.tolist(), strict=True)
         return tuple(
-            self._observation(tick, ((x, y), (v_x, v_y)), known=False)
+            self._observation(tick, ((x, y), (v_x, v_y), (z, rate)), known=False)
             if tick in missed
-            else self._observation(tick, ((x, y), (v_x, v_y)), self._arrived.get(tick, ()))
-            for tick, (x, y, v_x, v_y) in enumerate(reference.tolist(), begin)
+            else self._observation(
+                tick, ((x, y), (v_x, v_y), (z, rate)), self._arrived.get(tick, ())
+            )
+            for tick, ((x, y, v_x, v_y), (z, rate)) in enumerate(rows, begin)
         )
 
-    def _common(
-        self, tick: int, motion: tuple[Vector, Vector], *, known: bool, over: bool
-    ) -> dict[str, Any]:
+    def _common(self, tick: int, motion: OwnMotion, *, known: bool, over: bool) -> dict[str, Any]:
         """Return the fields of `VehicleObservation`; arguments as in `_observation`."""
         return {
             "tick": tick,
@@ -115,7 +126,7 @@ class Perception(ABC):
     def _observation(
         self,
         tick: int,
-        motion: tuple[Vector, Vector],
+        motion: OwnMotion,
         arrived: tuple[Any, ...] = (),
         *,
         known: bool = True,
@@ -125,7 +136,7 @@ class Perception(ABC):
 
         Args:
             tick: The tick.
-            motion: Reference position [m] and velocity [m/s].
+            motion: Reference position [m], velocity [m/s], and altitude [m] with climb rate [m/s].
             arrived: Messages that have arrived.
             known: True if the vehicle's process received them.
             over: True if no command is expected.
@@ -138,6 +149,7 @@ class UavPerception(Perception):
     def __init__(self, world: World, name: str, episode: int) -> None:
         super().__init__(world, name, episode)
         self._uav = [uav.name for uav in world.uavs].index(name)
+        self._flies = bool(world.vertical[self.row]["flies"])
 
     def receive(self, tick: int) -> None:
         """Receive this tick's messages and sensor reports; call once per tick."""
@@ -150,7 +162,7 @@ class UavPerception(Perception):
     def _observation(
         self,
         tick: int,
-        motion: tuple[Vector, Vector],
+        motion: OwnMotion,
         arrived: tuple[Detection, ...] = (),
         *,
         known: bool = True,
@@ -158,6 +170,8 @@ class UavPerception(Perception):
     ) -> UavObservation:
         news = self.news.get(tick, _NO_NEWS)
         common = self._common(tick, motion, known=known, over=over)
+        if self._flies:
+            common["altitude"], common["climb_rate"] = motion[2]
         return UavObservation(**common, detections=arrived, law=news.law)
 
 
@@ -196,7 +210,7 @@ class UgvPerception(Perception):
     def _observation(
         self,
         tick: int,
-        motion: tuple[Vector, Vector],
+        motion: OwnMotion,
         arrived: tuple[RelativeInformation, ...] = (),
         *,
         known: bool = True,

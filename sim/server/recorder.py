@@ -9,6 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from bus.messages.vehicle import UavReport
 from sim.channel.link_records import ARRIVED
@@ -37,6 +38,8 @@ _ESCORT = (
     "certified_distance [m]",
 )
 """Columns of `Recorder.escorts`."""
+_HEIGHT = ("z [m]", "vz [m/s]", "uz [m/s2]", "visible_within [m]")
+"""Columns of `Recorder.heights`; the third holds the command applied during the tick."""
 _CERTIFIED = _ESCORT.index("certified")
 _REPORTED = 4
 """First column of a UAV's report."""
@@ -49,6 +52,7 @@ def _record_tick(
     arrivals: RecordArray,
     states: FloatArray,
     escorts: FloatArray,
+    heights: FloatArray,
     k: int,
 ) -> None:
     """Measure the world at tick k, write its row, and add the applied accelerations to the previous row.
@@ -56,10 +60,10 @@ def _record_tick(
     Args:
         tables, state: World, as a batch of one.
         arrivals: Arrivals of each UAV, see `Recorder.arrivals`.
-        states, escorts: Arrays of the record.
+        states, escorts, heights: Arrays of the record.
         k: The tick.
     """
-    measure(tables.world, state.vehicles, tables.escorts, state.coverage, 0, True)
+    measure(tables, state, 0, True)
     for v in range(states.shape[1]):
         vehicle = state.vehicles[0, v]
         for axis in range(2):
@@ -79,6 +83,13 @@ def _record_tick(
             packet = state.packets[0, uav, ARRIVED, n]
             arrivals[uav].newest = max(arrivals[uav].newest, int(packet.stamp))
             arrivals[uav].error = max(arrivals[uav].error, packet.error)
+    for uav in range(heights.shape[1]):
+        vehicle = state.vehicles[0, tables.escorts[uav, 0]]
+        own = vehicle.vertical
+        if k > 0:
+            heights[k - 1, uav, 2] = own.acceleration
+        heights[k, uav, 0], heights[k, uav, 1], heights[k, uav, 2] = own.altitude, own.rate, np.nan
+        heights[k, uav, 3] = vehicle.sight_radius
 
 
 class Recorder:
@@ -102,13 +113,16 @@ class Recorder:
             RowStore(room, (vehicles, len(_VEHICLE))),
             RowStore(room, (uavs, len(_ESCORT))),
             RowStore(room, (reference_rows, 4)),
+            RowStore(room, (uavs if world.scenario.has_altitude else 0, len(_HEIGHT))),
         )
         self._bind()
         self.arrivals: RecordArray = np.zeros(uavs, record_type(ArrivalRecord))
         """`ArrivalRecord` of each UAV at the latest recorded tick. Shape (UAVs,)."""
 
     def _bind(self) -> None:
-        self._states, self._escorts, self._reference = (store.array for store in self._stores)
+        self._states, self._escorts, self._reference, self._heights = (
+            store.array for store in self._stores
+        )
 
     def record(self, reports: list[UavReport | None]) -> None:
         """Record the state at this tick, and the commands and reports of the previous tick.
@@ -125,7 +139,9 @@ class Recorder:
             for store in self._stores:
                 store.grow()
             self._bind()
-        _record_tick(*self._world.arrays, self.arrivals, self._states, self._escorts, k)
+        _record_tick(
+            *self._world.arrays, self.arrivals, self._states, self._escorts, self._heights, k
+        )
         if self._disturbed:
             self._reference[k, :, 0:2] = self._world.reference_position
             self._reference[k, :, 2:4] = self._world.reference_velocity
@@ -150,6 +166,15 @@ class Recorder:
     def reference(self) -> FloatArray:
         """Return the reference position [m] and velocity [m/s] of each vehicle, shape (rows, vehicles, 4)."""
         return self._reference[: self.rows] if self._disturbed else self.states[:, :, :4]
+
+    @property
+    def heights(self) -> FloatArray:
+        """Return values of each UAV with an altitude, shape (rows, UAVs, 4); (rows, 0, 4) in the plane.
+
+        Columns: altitude [m], climb rate [m/s], applied vertical acceleration [m/s²], and the distance within which
+        the UGV is visible [m], 0 while a building hides it.
+        """
+        return self._heights[: self.rows]
 
     @property
     def tracking_error(self) -> float | None:
@@ -182,16 +207,33 @@ class Recorder:
         """Return the distance of a UAV from its UGV at a recorded tick [m]."""
         return self._escorts.item(tick, uav, 0)
 
+    def is_lost(self, tick: int, uav: int) -> bool:
+        """Return whether a UAV's UGV was out of sight at a recorded tick, (5)."""
+        radius = self._world.parameters.r_v
+        if self._heights.shape[1]:
+            radius = self._heights.item(tick, uav, 3)
+        return self.distance(tick, uav) >= radius
+
+    @property
+    def lost(self) -> npt.NDArray[np.bool_]:
+        """Return whether each UAV's UGV was out of sight, (5). Shape (rows, UAVs)."""
+        radius = self.heights[:, :, 3] if self._heights.shape[1] else self._world.parameters.r_v
+        out: npt.NDArray[np.bool_] = self.escorts[:, :, 0] >= radius
+        return out
+
     def sha256(self, ticks: int | None = None) -> str:
         """Return the hash of the trajectory over the first `ticks` complete ticks (all by default).
 
-        For each tick in order and each vehicle in name order: p and v, then the applied command; little-endian float64,
-        -0.0 written as 0.0.
+        For each tick in order and each vehicle in name order: p and v, then the applied command; then, for each UAV
+        with an altitude, its altitude, climb rate and vertical acceleration. Little-endian float64, -0.0 as 0.0.
         """
-        complete = self._states[: self.ticks if ticks is None else min(ticks, self.ticks)]
+        count = self.ticks if ticks is None else min(ticks, self.ticks)
         digest = hashlib.sha256()
-        for begin in range(0, len(complete), _HASHED):
-            digest.update((complete[begin : begin + _HASHED] + 0.0).astype("<f8").tobytes())
+        for begin in range(0, count, _HASHED):
+            end = min(begin + _HASHED, count)
+            parts = self._states[begin:end], self._heights[begin:end, :, :3]
+            rows = np.concatenate([part.reshape(end - begin, -1) for part in parts], axis=1)
+            digest.update((rows + 0.0).astype("<f8").tobytes())
         return digest.hexdigest()
 
     def _rows(self) -> Iterator[list[float | int | str]]:
@@ -202,6 +244,7 @@ class Recorder:
                 numbers += escort
                 if not math.isnan(escort[_CERTIFIED]):
                     numbers[_CERTIFIED - len(escort)] = int(escort[_CERTIFIED])
+            numbers += self._heights[k].ravel().tolist()
             if self._disturbed:
                 numbers += self._reference[k, self._world.escorts[:, 0], :2].ravel().tolist()
             yield [k, k * dt, *("" if math.isnan(number) else number for number in numbers)]
@@ -216,6 +259,8 @@ class Recorder:
         header = ["tick", "time [s]"]
         header += [f"{name}.{field}" for name in self._world.names for field in _VEHICLE]
         header += [f"{name}.{field}" for name in uavs for field in _ESCORT]
+        if self._heights.shape[1]:
+            header += [f"{name}.{field}" for name in uavs for field in _HEIGHT]
         if self._disturbed:
             header += [f"{name}.reference_{axis} [m]" for name in uavs for axis in "xy"]
         with path.open("w", newline="", encoding="utf-8") as file:

@@ -55,7 +55,7 @@ class Telemetry:
     ) -> None:
         self._warn = warn
         self._flight, self._sessions, self._operators = flight, sessions, operators
-        self._geometry = geometry_of(flight.scenario)
+        self._geometry = geometry_of(flight.scenario, flight.world.buildings)
         self._truth, self._sampled = session.outbox(TRUTH), session.outbox(SAMPLED_TRUTH)
         self._map, self._status = session.outbox(COVERAGE), session.outbox(STATUS)
         self._ground = session.outbox(GROUND)
@@ -67,6 +67,7 @@ class Telemetry:
         """Switch to another run."""
         self._flight, self._last = flight, (0.0, 0)
         self._hazards = hazards_of(flight.world)
+        self._geometry = geometry_of(flight.scenario, flight.world.buildings)
 
     def send_tick(self) -> None:
         """Send the truth of this tick, and other telemetry that is due."""

@@ -1,0 +1,174 @@
+r"""Decision of the safety filter of a UAV with an altitude. The proof is in docs/explanation/proof.md.
+
+The radius within which the UGV is visible grows with the altitude: it is $R(z) = \min(r_v, (z - h_m) \tan\theta,
+c (z - h_m)/(h - h_m))$ of `visible_radius`. The filter has a table of bounds, each valid from an altitude on, its
+floor. After the first tick of a plan the UAV levels off, so the lowest altitude of the plan is known when it is
+checked. The plan is checked with the bounds of the highest floor below it, and needs no other change: while the UAV
+is above the floor, it sees at least as far as the check assumes.
+
+Altitudes above the ground [m], climb rates [m/s], vertical accelerations [m/s²].
+"""
+
+from typing import NamedTuple
+
+from agents.safety.decision import (
+    BACKUP,
+    BEST_EFFORT,
+    CERTIFIED,
+    NOMINAL,
+    begin_decision,
+    best_effort,
+    choose_control,
+    end_decision,
+    try_nominal,
+)
+from agents.safety.discs import known_discs, newest_disc
+from agents.safety.memory import FilterMemory
+from agents.safety.pending import COMMITTED, PREDICTED, PendingCommands
+from agents.safety.trajectories import end_disc
+from bus.messages.decision import NotCertified
+from sim.compiling.compile import compiled
+from sim.compiling.records import RecordArray, code
+from sim.models.altitude import VerticalMotion, level_off, lowest_ahead, step_altitude
+from sim.models.motion import NO_MOTION, follow_on
+from sim.models.vehicles import Motion
+
+_TOO_LOW = code(NotCertified.TOO_LOW)
+_OFF_TRAJECTORY = code(NotCertified.OFF_TRAJECTORY)
+
+_SLACK = 1e-6
+"""Depth below a floor down to which a new plan may lead [m]; a plan that continues may lead twice as low.
+
+Both are far above the effect of rounding. The bounds of a floor hold from `FLOOR_MARGIN` below it.
+"""
+FLOOR_MARGIN = 3.0 * _SLACK
+
+
+class Height(NamedTuple):
+    """Altitude [m] and climb rate [m/s] at a tick."""
+
+    z: float
+    rate: float
+
+
+@compiled
+def level_of(levels: RecordArray, z: float, slack: float = _SLACK) -> int:
+    """Return the row of the highest floor at most `slack` above an altitude; -1: none. Floors increase with the row."""
+    found = -1
+    for k in range(levels.shape[0]):
+        if levels[k].floor <= z + slack:
+            found = k
+    return found
+
+
+@compiled
+def _step(own: VerticalMotion, here: Height, command: float, dt: float) -> Height:
+    limits = own.lowest, own.highest, own.max_rate, own.max_acceleration
+    z, rate, _ = step_altitude(here.z, here.rate, command, limits, dt)
+    return Height(z, rate)
+
+
+@compiled
+def _level_step(own: VerticalMotion, here: Height, dt: float) -> Height:
+    return _step(own, here, level_off(here.rate, own.max_acceleration, dt), dt)
+
+
+@compiled
+def predict_height(
+    pending: PendingCommands, own: VerticalMotion, tick: int, delay_ticks: int, dt: float
+) -> tuple[Height, float]:
+    """Predict the height at which the plan of this tick's command begins, as `predict` does for the motion.
+
+    Returns:
+        The height, and the lowest altitude until then [m].
+    """
+    here, lowest = Height(own.altitude, own.rate), own.altitude
+    ahead = pending.committed[PREDICTED : PREDICTED + 1]
+    ahead[0] = pending.committed[COMMITTED]
+    for k in range(delay_ticks):
+        follow_on(pending.sent, ahead, tick + k)
+        if ahead[0].begins >= 0 and ahead[0].age == 0:
+            here = _step(own, here, ahead[0].vertical_acceleration, dt)
+        else:
+            here = _level_step(own, here, dt)
+        ahead[0].age += 1
+        lowest = min(lowest, here.z)
+    return here, lowest
+
+
+@compiled
+def _lowest_after(own: VerticalMotion, here: Height, command: float, dt: float) -> float:
+    """Return the lowest altitude of a plan whose first tick has this vertical acceleration [m].
+
+    A descent that turns into a climb within a tick falls below both ends by at most u dt²/8.
+    """
+    then = _step(own, here, command, dt)
+    within = min(here.z, then.z)
+    if here.rate < 0.0 < then.rate:
+        within -= 0.125 * own.max_acceleration * dt * dt
+    return min(within, lowest_ahead(then.z, then.rate, own.max_acceleration, dt))
+
+
+@compiled
+def decide_in_space(
+    levels: RecordArray,
+    memory: FilterMemory,
+    tick: int,
+    here: Motion,
+    own: VerticalMotion,
+    wanted: tuple[float, float, float],
+    committed: int = NO_MOTION,
+) -> None:
+    """Decide on the nominal accelerations of a UAV with an altitude; as `decide` otherwise.
+
+    The nominal accelerations are applied if a plan exists after them. Otherwise the UAV levels off, and the horizontal
+    decision is that of `decide`. Below every floor it climbs, and does its best.
+
+    Args:
+        levels: `SafetyBounds` by increasing floor. Shape (levels,).
+        memory: Memory of the filter, changed in place.
+        tick: Current tick.
+        here: Current horizontal state of the UAV.
+        own: Vertical limits and state of the UAV.
+        wanted: Nominal acceleration, horizontal and vertical [m/s²].
+        committed: As in `decide`.
+    """
+    dt, delay = levels[0].dt, levels[0].delay_ticks
+    plan, discs = memory.plan, memory.discs
+    now = level_of(levels, lowest_ahead(own.altitude, own.rate, own.max_acceleration, dt))
+    beginning = begin_decision(levels[max(now, 0)], memory, tick, here, committed)
+    floor = memory.pending.committed[COMMITTED].floor
+    ahead, lowest = predict_height(memory.pending, own, tick, delay, dt)
+    follows = (
+        own.altitude >= floor - 2.0 * _SLACK or memory.pending.committed[COMMITTED].checked == 0
+    )
+    begins, new = tick + delay, newest_disc(discs)
+    source, u_z = BEST_EFFORT, wanted[2]
+    u_x, u_y = 0.0, 0.0
+    level = level_of(levels, _lowest_after(own, ahead, u_z, dt))
+    if level >= 0 and new >= 0:
+        bounds = levels[level]
+        known = known_discs(bounds, discs, end_disc(plan), new, begins, beginning.ahead)
+        found, u_x, u_y = try_nominal(
+            bounds, known, plan, begins, beginning.ahead, wanted[0], wanted[1]
+        )
+        source = NOMINAL if found else BEST_EFFORT
+    if source == BEST_EFFORT:
+        u_z = level_off(ahead.rate, own.max_acceleration, dt)
+        level = level_of(levels, _lowest_after(own, ahead, u_z, dt), 2.0 * _SLACK)
+        if level >= 0:
+            u_x, u_y, source = choose_control(
+                levels[level], discs, plan, begins, beginning.ahead, wanted[0], wanted[1]
+            )
+            source = BACKUP if source == NOMINAL and u_z != wanted[2] else source
+        else:
+            u_x, u_y = best_effort(levels[0], discs, plan, beginning.ahead)
+            u_z = own.max_acceleration
+    end_decision(levels[max(level, 0)], memory, tick, here, beginning, (u_x, u_y), source)
+    memory.pending.sent[begins % memory.pending.sent.shape[0]].vertical_acceleration = u_z
+    decision = memory.decision[0]
+    decision.vertical_acceleration = u_z
+    if decision.reason == CERTIFIED and not follows:
+        decision.reason = _OFF_TRAJECTORY
+    if level < 0 or level_of(levels, lowest, 2.0 * _SLACK) < 0:
+        decision.reason = _TOO_LOW

@@ -1,0 +1,71 @@
+"""From which altitude the sight of a scenario can be certified, and what prevents it below."""
+
+import math
+
+from agents.safety.levels import bounds_at, least_altitude, lowest_certified, radius_at
+from bus.messages.vehicle import UavBriefing
+from sim.scenario.types import Scenario, Uav
+
+
+def certified_from(briefing: UavBriefing) -> str:
+    """Return the lowest certified altitude and its cause in one clause; empty in the plane, or if there is none."""
+    lowest = lowest_certified(briefing)
+    if lowest is None:
+        return ""
+    return f"sight can be certified from {lowest:.2f} m on, {_cause(briefing, lowest)}"
+
+
+def _cause(briefing: UavBriefing, lowest: float) -> str:
+    """Return what prevents a certificate just below an altitude [m]."""
+    own, camera = briefing.altitude, briefing.camera
+    if own is None or camera is None:
+        return ""
+    if lowest <= own.min_altitude:
+        return "the lowest altitude of the UAV"
+    if lowest <= least_altitude(briefing):
+        return (
+            f"{own.vertical_clearance:g} m above the highest building "
+            f"({briefing.max_building_height or 0.0:g} m)"
+        )
+    above = lowest - briefing.marker_height
+    seen = above * math.tan(camera.half_angle)
+    if radius_at(briefing, lowest) >= seen - 1e-6:
+        return f"where the camera sees the UGV within {seen:.2f} m; lower, that is too little"
+    return (
+        f"where buildings of up to {briefing.max_building_height:g} m hide no UGV within "
+        f"{radius_at(briefing, lowest):.2f} m that keeps {briefing.building_clearance:g} m from them; "
+        "lower, that is too little"
+    )
+
+
+def altitude_fault(scenario: Scenario, uav: Uav, briefing: UavBriefing) -> str:
+    """Return why the altitudes or buildings of a scenario prevent certificates; empty if they do not.
+
+    Args:
+        scenario: The scenario.
+        uav: The UAV.
+        briefing: Its briefing.
+    """
+    if briefing.altitude is None:
+        return ""
+    if briefing.max_building_height is not None and briefing.building_clearance == 0.0:
+        return (
+            f"{uav.escorts} guarantees no distance from buildings, which may hide it: set its building_clearance, "
+            "with the driver navigate, caution cautious and buildings.known = true"
+        )
+    lowest = lowest_certified(briefing)
+    if lowest is None:
+        highest = briefing.altitude.max_altitude
+        floor = least_altitude(briefing)
+        if floor > highest:
+            return f"max_altitude = {highest:g} m: lower than the {floor:g} m that clear the highest building"
+        if bounds_at(briefing).valid:
+            return (
+                f"even at max_altitude = {highest:g} m the UGV is visible within {radius_at(briefing, highest):.2f} m "
+                "only; raise max_altitude, camera.half_angle or ugv.building_clearance"
+            )
+        return ""
+    if scenario.altitude.law == "fixed" and briefing.altitude.initial_altitude < lowest:
+        start = briefing.altitude.initial_altitude
+        return f"initial_altitude = {start:g} m: too low, {certified_from(briefing)}"
+    return ""

@@ -1,0 +1,52 @@
+"""Cameras and buildings of many worlds. Planar scenarios have none, and nothing is compiled for them."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sim.compiling.compile import FloatArray
+from sim.compiling.records import RecordArray, records
+from sim.models.buildings import building_table
+from sim.models.camera import CameraParameters
+from sim.scenario.building_tables import building_rooms
+from sim.scenario.types import Scenario
+
+
+class TownState(NamedTuple):
+    """Buildings of each world; rows of height 0 are empty."""
+
+    buildings: RecordArray
+    """`BuildingRow`. Shape (worlds, buildings)."""
+    corners: FloatArray
+    """Corners of their footprints [m]. Shape (worlds, corners, 2)."""
+
+
+def cameras_of(scenario: Scenario) -> RecordArray | None:
+    """Return the `CameraParameters` of each UAV; None: the UAVs fly in the plane. Shape (UAVs,)."""
+    if not scenario.has_altitude:
+        return None
+    camera, markers = scenario.camera, {ugv.name: ugv.marker_height for ugv in scenario.ugv}
+    uavs = sorted(scenario.uav, key=lambda uav: uav.name)
+    return records(
+        CameraParameters,
+        [
+            CameraParameters(
+                math.tan(camera.half_angle), camera.reference_altitude, markers[uav.escorts]
+            )
+            for uav in uavs
+        ],
+    )
+
+
+def town_of(scenario: Scenario, worlds: int) -> TownState | None:
+    """Return the given buildings of a scenario in each world, with room for those of fields; None: no buildings."""
+    if not scenario.has_buildings or not scenario.has_altitude:
+        return None
+    rows, corners = building_table([(one.corners, one.height) for one in scenario.building])
+    room = sum(building_rooms(scenario))
+    rows = np.concatenate([rows, np.zeros(room, rows.dtype)])
+    corners = np.concatenate([corners, np.zeros((4 * room, 2))])
+    return TownState(
+        np.repeat(rows[None], worlds, axis=0), np.repeat(corners[None], worlds, axis=0)
+    )

@@ -1,0 +1,232 @@
+"""Compiled tick of altitude, camera and buildings; nothing of it is compiled for planar scenarios."""
+
+import math
+from typing import Any
+
+from sim.compiling.compile import FloatArray, IntArray, compiled
+from sim.compiling.records import RecordArray
+from sim.engine.space_state import TownState
+from sim.engine.world_state import BatchState, Vehicle, WorldParameters
+from sim.models.altitude import level_off, step_altitude
+from sim.models.buildings import building_distance, line_of_sight, path_meets_building
+from sim.models.camera import (
+    CameraParameters,
+    noise_at,
+    range_at,
+    sensor_at,
+    visibility_radius_at,
+)
+from sim.models.detection import detect
+from sim.models.field import Demand, accumulate, accumulate_with_gain
+from sim.models.randomness import DETECTION_CHANCE, DETECTION_NOISE, key_of
+from sim.models.sensor import SensorParameters
+from sim.models.shadows import Occlusion
+from sim.models.vehicles import norm
+
+_OFF_WALL = 1e-6
+"""Distance from a wall at which a UAV that flies against it stops [m]."""
+
+
+@compiled
+def occlusion_of(town: TownState | None, world: int, z: float) -> Occlusion | None:
+    """Return the buildings of a world as a camera at altitude z sees them; None: no buildings."""
+    if town is None:
+        return None
+    return Occlusion(town.buildings[world], town.corners[world], z)
+
+
+@compiled
+def _sees(
+    town: TownState | None, world: int, camera: CameraParameters, uav: Vehicle, ugv: Vehicle
+) -> bool:
+    """Return whether no building hides the UGV's marker from a UAV."""
+    if town is None:
+        return True
+    return bool(
+        line_of_sight(
+            town.buildings[world],
+            town.corners[world],
+            uav.position[0],
+            uav.position[1],
+            uav.vertical.altitude,
+            ugv.position[0],
+            ugv.position[1],
+            camera.marker_height,
+        )
+    )
+
+
+@compiled
+def measure_sight(
+    numbers: WorldParameters,
+    town: TownState | None,
+    world: int,
+    cameras: RecordArray | None,
+    k: int,
+    uav: Vehicle,
+    ugv: Vehicle,
+) -> None:
+    """Set the distance within which the k-th UAV sees its UGV: r_v at its altitude, or 0 while a building hides it."""
+    if cameras is None:
+        uav.sight_radius = numbers.r_v
+    else:
+        camera = cameras[k]
+        radius = visibility_radius_at(
+            numbers.r_v, camera.tangent, camera.marker_height, uav.vertical.altitude
+        )
+        uav.sight_radius = radius if _sees(town, world, camera, uav, ugv) else 0.0
+
+
+@compiled
+def look_down(
+    numbers: WorldParameters,
+    coverage: FloatArray,
+    town: TownState | None,
+    world: int,
+    camera: CameraParameters,
+    uav: Vehicle,
+    ugv: Vehicle,
+) -> None:
+    """Update the coverage with a UAV's sensor at its altitude, (3); hidden cells gain nothing."""
+    z = uav.vertical.altitude
+    sensor = sensor_at(numbers.sensor, camera, z)
+    occlusion = occlusion_of(town, world, z)
+    x, y = uav.position[0], uav.position[1]
+    if numbers.gains:
+        demand = Demand(ugv.position[0], ugv.position[1], numbers.r_o, numbers.desired)
+        uav.gain = accumulate_with_gain(
+            coverage, x, y, demand, sensor, numbers.cell, numbers.dt, occlusion
+        )
+    else:
+        accumulate(coverage, x, y, sensor, numbers.cell, numbers.dt, occlusion)
+
+
+@compiled
+def detect_below(
+    numbers: WorldParameters,
+    town: TownState | None,
+    world: int,
+    camera: CameraParameters,
+    uav: Vehicle,
+    ugv: Vehicle,
+    tick: int,
+) -> None:
+    """Run a UAV's detector of its UGV at its altitude; a hidden UGV is not detected."""
+    if not _sees(town, world, camera, uav, ugv):
+        return
+    z = uav.vertical.altitude
+    x, y = uav.position[0] - ugv.position[0], uav.position[1] - ugv.position[1]
+    _, uav.detection[0], uav.detection[1] = detect(
+        x,
+        y,
+        visibility_radius_at(numbers.r_v, camera.tangent, camera.marker_height, z),
+        range_at(numbers.sensor.reach, camera.tangent, z),
+        numbers.dropout,
+        noise_at(numbers.sigma, camera.reference_height, norm(x, y), z),
+        numbers.cut,
+        key_of(uav.keys, DETECTION_NOISE),
+        key_of(uav.keys, DETECTION_CHANCE),
+        tick,
+    )
+
+
+@compiled
+def _roof_below(
+    buildings: RecordArray, corners: FloatArray, uav: Vehicle, x: float, y: float
+) -> float:
+    """Return the lowest altitude over the buildings at a point that a UAV above them may fly at [m]; 0 beside them."""
+    lowest = 0.0
+    for k in range(buildings.shape[0]):
+        height = buildings[k]["height"]
+        if height <= 0.0 or height + uav.vertical.clearance <= lowest:
+            continue
+        if building_distance(buildings[k : k + 1], corners, x, y, 0.0) == 0.0:
+            lowest = height + uav.vertical.clearance
+    return lowest
+
+
+@compiled
+def keep_places(
+    state: BatchState, cameras: RecordArray | None, escorts: IntArray, world: int
+) -> None:
+    """Store the positions of UAVs with an altitude before they move."""
+    if cameras is not None:
+        for k in range(escorts.shape[0]):
+            uav = state.vehicles[world, escorts[k, 0]]
+            for i in range(2):
+                uav.vertical.before[i] = uav.reference_position[i]
+
+
+@compiled
+def _climb(numbers: WorldParameters, town: TownState | None, world: int, uav: Vehicle) -> None:
+    """Advance the vertical motion of a UAV by one tick, and stop it at roofs and walls.
+
+    A UAV over a building does not sink below the roof plus its vertical clearance. One that flies against a building
+    that is too high for its altitude stops in front of the wall.
+
+    Args:
+        numbers: Parameters of the world.
+        town: Buildings; None: there are none.
+        world: Index of the world.
+        uav: The UAV, after its horizontal motion.
+    """
+    own = uav.vertical
+    start = own.before[0], own.before[1]
+    command = own.command
+    if math.isnan(command):
+        command = level_off(own.rate, own.max_acceleration, numbers.dt)
+    limits = own.lowest, own.highest, own.max_rate, own.max_acceleration
+    own.altitude, own.rate, own.acceleration = step_altitude(
+        own.altitude, own.rate, command, limits, numbers.dt
+    )
+    if town is None:
+        return
+    buildings, corners = town.buildings[world], town.corners[world]
+    roof = _roof_below(buildings, corners, uav, start[0], start[1])
+    if own.altitude < roof:
+        own.altitude, own.rate = roof, max(own.rate, 0.0)
+        own.contacts += 1
+    place = uav.reference_position
+    end = place[0], place[1]
+    height = own.altitude - own.clearance
+    share = path_meets_building(buildings, corners, start, end, height)
+    if share <= 1.0:
+        length = norm(end[0] - start[0], end[1] - start[1])
+        share = max(0.0, share - _OFF_WALL / length) if length > 0.0 else 0.0
+        for i in range(2):
+            place[i] = start[i] + share * (end[i] - start[i])
+            uav.reference_velocity[i] = 0.0
+        own.contacts += 1
+
+
+@compiled
+def climb_all(
+    numbers: WorldParameters,
+    state: BatchState,
+    cameras: RecordArray | None,
+    escorts: IntArray,
+    world: int,
+) -> None:
+    """Advance the vertical motion of all UAVs, after their horizontal one."""
+    if cameras is not None:
+        for k in range(escorts.shape[0]):
+            uav = state.vehicles[world, escorts[k, 0]]
+            if uav.vertical.flies:
+                _climb(numbers, state.town, world, uav)
+
+
+@compiled
+def view_of(
+    numbers: WorldParameters,
+    town: TownState | None,
+    world: int,
+    cameras: RecordArray | None,
+    k: int,
+    uav: Vehicle,
+) -> Any:  # noqa: ANN401 - its second part depends on the town
+    """Return the sensor of the k-th UAV at its altitude, and the buildings as it sees them; None: there are none."""
+    if cameras is None:
+        plain = numbers.sensor
+        return SensorParameters(plain.model, plain.peak, plain.reach), None
+    z = uav.vertical.altitude
+    return sensor_at(numbers.sensor, cameras[k], z), occlusion_of(town, world, z)

@@ -1,0 +1,142 @@
+"""Vertical motion, the radius of sight by altitude, and the lemma that buildings hide no UGV within it."""
+
+import math
+
+import numpy as np
+import pytest
+
+from agents.control.altitude import climb_to
+from agents.safety.levels import levels_of, lowest_certified
+from bus.errors import ScenarioError
+from outrider.envs.parallel import parallel_env
+from outrider.running.altitude_assumptions import certified_from
+from outrider.running.assumptions import assumption_warnings, how_certifiable
+from processes import flown_both_ways
+from sim.engine.briefing import uav_briefing
+from sim.models.altitude import level_off, levelling_height, lowest_ahead, step_altitude
+from sim.models.buildings import building_distance, building_table, line_of_sight
+from sim.models.safety import visible_radius
+from sim.scenario.loading import load_scenario
+
+DT, U, RATE = 0.05, 0.8, 1.5
+LIMITS = (0.5, 100.0, RATE, U)
+
+
+@pytest.mark.parametrize("rate", [-1.5, -0.73, -1e-3, 0.0, 1e-9, 0.04, 1.2])
+def test_levelling_height_is_what_the_vehicle_flies(rate: float) -> None:
+    z, v, lowest = 50.0, rate, 50.0
+    for _ in range(200):
+        z, v, _ = step_altitude(z, v, level_off(v, U, DT), LIMITS, DT)
+        lowest = min(lowest, z)
+    assert v == 0.0
+    assert z == pytest.approx(50.0 + levelling_height(rate, U, DT), abs=1e-9)
+    assert lowest == pytest.approx(lowest_ahead(50.0, rate, U, DT), abs=1e-9)
+
+
+def test_vertical_motion_keeps_its_bounds() -> None:
+    rng = np.random.default_rng(3)
+    z, v = 10.0, 0.0
+    for command in rng.normal(0.0, 3.0, 5000):
+        before = v
+        z, v, u = step_altitude(z, v, float(command), (2.0, 20.0, RATE, U), DT)
+        assert 2.0 <= z <= 20.0
+        assert abs(v) <= RATE
+        assert abs(u) <= U
+        assert abs(v - before) <= U * DT + 1e-12 or z in (2.0, 20.0)
+
+
+@pytest.mark.parametrize("goal", [12.0, 30.0, 4.3])
+def test_a_climb_ends_at_its_goal_within_a_centimetre(goal: float) -> None:
+    z, v, way = 12.0, 0.0, []
+    for _ in range(1200):
+        z, v, _ = step_altitude(z, v, climb_to(z, v, goal, RATE, U, DT), LIMITS, DT)
+        way.append(z)
+    assert z == pytest.approx(goal, abs=1e-6)
+    assert min(way) >= min(goal, 12.0) - 0.01
+    assert max(way) <= max(goal, 12.0) + 0.01
+
+
+def _town(rng: np.random.Generator) -> list[tuple[list[tuple[float, float]], float]]:
+    """Return random buildings, convex and not, in an area of 30 m."""
+    found = []
+    for _ in range(int(rng.integers(1, 12))):
+        x, y = rng.uniform(0.0, 30.0, 2)
+        angles = np.sort(rng.uniform(0.0, 2.0 * math.pi, int(rng.integers(3, 8))))
+        radii = rng.uniform(0.5, 4.0, len(angles))
+        corners = [
+            (x + r * math.cos(a), y + r * math.sin(a)) for r, a in zip(radii, angles, strict=True)
+        ]
+        found.append((corners, float(rng.uniform(0.5, 8.0))))
+    return found
+
+
+def test_no_building_hides_a_ugv_within_the_radius() -> None:
+    """Lemma 7 over 40,000 random places in random towns; half of the distances are just within the radius."""
+    rng, tried, near = np.random.default_rng(5), 0, 0
+    while tried < 40_000:
+        rows, corners = building_table(_town(rng))
+        tallest, marker = float(rows["height"].max()), float(rng.uniform(0.0, 0.4))
+        for _ in range(400):
+            x, y = rng.uniform(0.0, 30.0, 2)
+            clearance = building_distance(rows, corners, x, y, 0.0)
+            if clearance == 0.0:
+                continue
+            z = tallest * (1.0 + rng.exponential(0.5)) + 1e-6
+            radius = visible_radius(z, 1e3, 1e3, marker, tallest, clearance)
+            share = 1.0 - 1e-9 if rng.random() < 0.5 else rng.random()
+            angle, far = rng.uniform(0.0, 2.0 * math.pi), share * radius
+            p = x + far * math.cos(angle), y + far * math.sin(angle)
+            assert line_of_sight(rows, corners, *p, z, x, y, marker)
+            beyond = x + 1.2 * radius * math.cos(angle), y + 1.2 * radius * math.sin(angle)
+            near += not line_of_sight(rows, corners, *beyond, z, x, y, marker)
+            tried += 1
+    assert near > 100  # the radius is nearly the largest possible
+
+
+def test_bounds_of_the_filter_grow_with_the_floor() -> None:
+    scenario = load_scenario("town", overrides=["uav.0.min_altitude=1.0"])
+    levels = levels_of(uav_briefing(scenario, "uav_0", 0))
+    assert len(levels) > 5
+    assert levels["valid"].all()
+    for name in ("floor", "radius", "handover_radius", "handover_bound"):
+        assert (np.diff(levels[name]) >= 0.0).all()
+    assert levels["radius"][-1] <= scenario.visibility.radius
+
+
+def test_check_names_the_lowest_certified_altitude_and_why() -> None:
+    scenario = load_scenario("town", overrides=["uav.0.min_altitude=1.0"])
+    brief = uav_briefing(scenario, "uav_0", 0)
+    lowest = lowest_certified(brief)
+    assert lowest is not None
+    assert f"from {lowest:.2f} m on" in certified_from(brief)
+    assert how_certifiable(scenario) == "always"
+    low = load_scenario("town", overrides=["uav.0.min_altitude=1", "uav.0.initial_altitude=6.01"])
+    assert how_certifiable(low) == "hardly ever"
+    assert any("too low" in line for line in assumption_warnings(low))
+
+
+@pytest.mark.parametrize(
+    ("change", "phrase"),
+    [
+        ("ugv.0.driver=waypoints", "guarantees no distance from buildings"),
+        ("ugv.0.caution=bold", "guarantees no distance from buildings"),
+        ("buildings.known=false", "guarantees no distance from buildings"),
+        ("ugv.0.building_clearance=0", "guarantees no distance from buildings"),
+    ],
+)
+def test_without_a_guaranteed_clearance_nothing_is_certified(change: str, phrase: str) -> None:
+    scenario = load_scenario("town", overrides=[change])
+    assert how_certifiable(scenario) == "hardly ever"
+    assert any(phrase in line for line in assumption_warnings(scenario))
+
+
+def test_town_flies_one_trajectory_over_three_processes() -> None:
+    there, here = flown_both_ways("town", "duration=8.0", "altitude.law=best")
+    assert there["certified_while_lost"] == here.certified_while_lost == 0
+    assert here.certified_share is not None
+    assert here.certified_share > 0.9
+
+
+def test_environments_refuse_an_altitude() -> None:
+    with pytest.raises(ScenarioError, match=r"uav.0.initial_altitude = 14: environments fly"):
+        parallel_env("town")
