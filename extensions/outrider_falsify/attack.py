@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.control.tracking import tracking_output, tracking_step
-from agents.safety.decision import CERTIFIED, NOMINAL, decide
-from agents.safety.discs import KEPT, NEVER, bound_of, certified_distance, newest_disc
+from agents.safety.decision import CERTIFIED, NOMINAL
+from agents.safety.discs import certified_distance, newest_disc
 from agents.safety.memory import (
     add_measurement,
     add_position,
@@ -35,20 +34,19 @@ from outrider_falsify.conditions import (
     ANY,
     DISTURBANCES,
     GUARDS,
-    INNERS,
     UGVS,
     Conditions,
     scenario_of,
 )
+from outrider_falsify.heights import Heights, filter_nominal, nominal_climb, sight_radius
 from outrider_falsify.network_troubles import send_command, start_blackout
+from outrider_falsify.nominal import Known, nominal_command, switch_command
 from outrider_falsify.opponents import (
     UAV,
     UGV,
     choose,
     detection_error,
-    direction,
     disturb,
-    inner_command,
     jump,
     redraw,
     ugv_command,
@@ -71,22 +69,10 @@ from sim.engine.monitor import (
 from sim.engine.world_tick import deliver_detections, move, receive_commands
 from sim.models.randomness import FIRST, draw
 from sim.models.safety import SafetyBounds
-from sim.models.vehicles import Motion, clip_norm, norm
+from sim.models.vehicles import norm
+from sim.scenario.types import Scenario
 
 _ATTACK = 1001  # purpose of the draws
-_A_C, _B_C, _C_C, _D_C = -3.0, -3.0, -8.0 / 3.0, -3.0  # (15) with the paper's closed loop (s + 1)^3
-
-
-class Known(NamedTuple):
-    """Knowledge of the UAV at one tick."""
-
-    new: int
-    """Row of the newest detection; negative before the first."""
-    bound: float
-    """Certified distance [m]."""
-    z_x: float
-    z_y: float
-    """Relative position p_a - p_g of the newest detection [m]."""
 
 
 class Order(NamedTuple):
@@ -94,7 +80,8 @@ class Order(NamedTuple):
 
     u_x: float
     u_y: float
-    """[m/s²]"""
+    u_z: float
+    """Horizontal and vertical acceleration [m/s²]."""
     acted: bool
     """True if the guard overrides the nominal control."""
     certified: bool
@@ -102,40 +89,6 @@ class Order(NamedTuple):
     """True if the command carries a trajectory."""
     reported: bool
     """True if the filter was evaluated."""
-
-
-@compiled
-def _switch_command(
-    conditions: Conditions,
-    bounds: SafetyBounds,
-    discs: RecordArray,
-    adversaries: RecordArray,
-    tick: int,
-    here: Motion,
-    z_x: float,
-    z_y: float,
-) -> tuple[float, float]:
-    """Return the command [m/s²] of a switching law beyond its radius.
-
-    z is p_a - p_g of the newest detection [m].
-    """
-    if conditions.law >= GUARDS.switch_tracking:
-        return clip_norm(adversaries[UAV].output_x, adversaries[UAV].output_y, bounds.u_a)
-    if conditions.law == GUARDS.switch_best:
-        least = math.inf
-        for k in range(KEPT):
-            if discs[k].tick == NEVER:
-                continue
-            r = bound_of(bounds, discs, k, tick, here.p_x, here.p_y)
-            if r < least:
-                least = r
-                z_x, z_y = here.p_x - discs[k].x, here.p_y - discs[k].y
-    e_x, e_y = direction(z_x, z_y)
-    return clip_norm(
-        (-bounds.v_a * e_x - here.v_x) / bounds.dt,
-        (-bounds.v_a * e_y - here.v_y) / bounds.dt,
-        bounds.u_a,
-    )
 
 
 @compiled
@@ -163,29 +116,7 @@ def _receive(run: Run, view: View) -> Known:
 
 
 @compiled
-def _nominal_command(run: Run, view: View, known: Known) -> tuple[float, float]:
-    """Return the nominal command chosen by the adversary in the UAV [m/s²]."""
-    conditions, random, adversaries = run.conditions, run.random, run.scratch.adversaries
-    dt, u_a, roles, (z_x, z_y) = run.bounds.dt, run.bounds.u_a, run.scratch.roles[0], known[2:]
-    if next_share(random) < 0.01:
-        redraw(random, adversaries, UAV, u_a)
-        if conditions.inner == ANY and next_share(random) < 0.3:
-            roles.inner = choose(random, conditions.inner, len(INNERS))
-    if roles.inner == INNERS.tracking or conditions.law >= GUARDS.switch_tracking:
-        c_x, c_y = roles.controller_x, roles.controller_y
-        o_x, o_y = tracking_output(c_x, c_y, z_x, z_y, _C_C, _D_C)
-        adversaries[UAV].output_x, adversaries[UAV].output_y = o_x, o_y
-        c_x, c_y = tracking_step(c_x, c_y, z_x, z_y, _A_C, _B_C, dt)
-        roles.controller_x, roles.controller_y = c_x, c_y
-    phase = roles.rate * (view.tick * dt)
-    u_x, u_y = inner_command(
-        roles.inner, view.x, view.y, view.here, z_x, z_y, phase, adversaries, u_a
-    )
-    return clip_norm(u_x, u_y, u_a)
-
-
-@compiled
-def _filter(run: Run, view: View, u_x: float, u_y: float) -> Order:
+def _filter(run: Run, view: View, u_x: float, u_y: float, u_z: float) -> Order:
     """Evaluate the filter unless it is off or disconnected; count its statement as the simulator does."""
     conditions, memory, random, here = run.conditions, run.memory, run.random, view.here
     roles, trouble, counts = run.scratch.roles[0], run.scratch.trouble[0], run.scratch.counts[0]
@@ -204,32 +135,37 @@ def _filter(run: Run, view: View, u_x: float, u_y: float) -> Order:
             invalidate_plans(memory)
     elif roles.filtering:
         begins = run.state.flown[0, UAV, 0].begins
-        decide(run.bounds, memory, view.tick, here, u_x, u_y, begins)
+        own, wanted = run.state.vehicles[0, UAV].vertical, (u_x, u_y, u_z)
+        filter_nominal(run.heights, run.bounds, memory, (view.tick, begins), here, own, wanted)
         decision = memory.decision[0]
         u_x, u_y = decision.acceleration[0], decision.acceleration[1]
+        u_z = decision.vertical_acceleration
         certified, acted = decision.reason == CERTIFIED, decision.source != NOMINAL
-        said = Claim(certified, acted, view.distance >= conditions.r_v, True)
+        lost = view.distance >= sight_radius(run.heights, run.state, conditions.r_v)
+        said = Claim(certified, acted, lost, True)
         record_decision(run.bounds, counts, view.tick, said)
-        return Order(u_x, u_y, acted, certified, not conditions.bare, True)
-    return Order(u_x, u_y, False, False, False, False)
+        return Order(u_x, u_y, u_z, acted, certified, not conditions.bare, True)
+    return Order(u_x, u_y, u_z, False, False, False, False)
 
 
 @compiled
 def _decide(run: Run, view: View, known: Known) -> Order:
     """Return the UAV's command: the adversary's nominal control, possibly overridden by the guard."""
     conditions = run.conditions
-    u_x, u_y = _nominal_command(run, view, known)
+    u_x, u_y = nominal_command(run, view, known)
     if conditions.law == GUARDS.filter:
-        return _filter(run, view, u_x, u_y)
+        own = run.state.vehicles[0, UAV].vertical
+        u_z = nominal_climb(run.heights, run.scratch.roles, run.random, own)
+        return _filter(run, view, u_x, u_y, u_z)
     z_x, z_y = known.z_x, known.z_y
     far = norm(z_x, z_y) if conditions.law == GUARDS.paper else known.bound
     acted = known.new >= 0 and far >= conditions.radius
     if acted:
         discs, adversaries = run.memory.discs, run.scratch.adversaries
-        u_x, u_y = _switch_command(
+        u_x, u_y = switch_command(
             conditions, run.bounds, discs, adversaries, view.tick, view.here, z_x, z_y
         )
-    return Order(u_x, u_y, acted, False, False, False)
+    return Order(u_x, u_y, 0.0, acted, False, False, False)
 
 
 @compiled
@@ -325,14 +261,16 @@ def _judge(run: Run, tick: int, certified: bool) -> None:
     if counts.interval_kept and certified:
         most = largest_between(scratch.before, scratch.now, run.bounds.dt)
         result.max_certified = max(result.max_certified, most)
-        result.certified_lost += most >= run.conditions.r_v
+        radius = sight_radius(run.heights, run.state, run.conditions.r_v)
+        result.certified_lost += most >= min(radius, scratch.roles[0].radius)
 
 
 @compiled
 def _finish(run: Run, ticks: int) -> None:
     """Write the result of a run with this number of ticks."""
     counts, result, sums = run.scratch.counts[0], run.results[0], run.scratch.sums[0]
-    record_end(counts, apart(run.scratch.now)[2] >= run.conditions.r_v)
+    radius = sight_radius(run.heights, run.state, run.conditions.r_v)
+    record_end(counts, apart(run.scratch.now)[2] >= radius)
     result.certified_lost += counts.certified_while_lost
     result.broken = counts.broken
     result.overridden = sums.overridden / (ticks + 1)
@@ -351,7 +289,8 @@ def fly_one(run: Run, ticks: int) -> None:
         _count(run, view, known, order)
         if tick == ticks:
             break
-        send_command(run, view, order.u_x, order.u_y, order.carries_trajectory)
+        run.scratch.roles[0].radius = sight_radius(run.heights, run.state, run.conditions.r_v)
+        send_command(run, view, order.u_x, order.u_y, order.u_z, order.carries_trajectory)
         _drive(run, view)
         _step(run, view)
         _detect(run, tick)
@@ -360,7 +299,13 @@ def fly_one(run: Run, ticks: int) -> None:
 
 
 def attack(
-    bounds: SafetyBounds, conditions: Conditions, seed: int, first: int, runs: int, duration: float
+    bounds: SafetyBounds,
+    conditions: Conditions,
+    seed: int,
+    first: int,
+    runs: int,
+    duration: float,
+    flight: tuple[Scenario, Heights] | None = None,
 ) -> RecordArray:
     """Simulate consecutive runs of an attack.
 
@@ -371,11 +316,14 @@ def attack(
         first: Number of the first run.
         runs: Number of runs.
         duration: Duration of each run [s].
+        flight: Scenario of a UAV with an altitude, from `outrider_falsify.heights.at_altitude`, and its bounds; None:
+            it flies in the plane.
 
     Returns:
         `AttackResult` of each run. Shape (runs,).
     """
-    batch = Batch(scenario_of(bounds, conditions), 1, threads=1)
+    scenario, heights = flight or (scenario_of(bounds, conditions), None)
+    batch = Batch(scenario, 1, threads=1)
     late = batch.links.longest(LinkKind.DETECTIONS) + 1
     results, random = np.zeros(runs, record_type(AttackResult)), np.empty(1, np.uint64)
     run = Run(
@@ -387,6 +335,7 @@ def attack(
         conditions=conditions,
         random=random,
         results=results,
+        heights=heights,
     )
     for k in range(runs):
         random[0] = draw(

@@ -6,6 +6,7 @@ import numpy as np
 
 from agents.safety.memory import FilterMemory
 from outrider_falsify.conditions import Conditions
+from outrider_falsify.heights import Heights
 from outrider_falsify.opponents import UAV, UGV, AdversaryState
 from outrider_falsify.rng import RngState
 from sim.compiling.compile import FloatArray, compiled
@@ -70,6 +71,10 @@ class Roles(NamedTuple):
     """A code of `WINDS`."""
     losses: int
     """A code of `LOSSES`."""
+    climb: float
+    """Vertical acceleration that the adversary in the UAV wants [m/s²]."""
+    radius: float
+    """Radius within which the UGV was visible at the last tick [m]."""
     rate: float
     """Angular rate of periodic controls [rad/s]."""
     controller_x: float
@@ -106,7 +111,7 @@ class Scratch(NamedTuple):
     now: RecordArray
     """True `Motion` of UAV and UGV at the last tick and now. Shape (2,)."""
     ring: FloatArray
-    """Last commands [m/s²]; column 2 is 1 for a command that carries a trajectory. Shape (RING, 3)."""
+    """Last commands [m/s²]: horizontal; 1 for one that carries a trajectory; vertical. Shape (RING, 4)."""
     counts: RecordArray
     """`CertificateCounters`. Shape (1,)."""
 
@@ -129,6 +134,8 @@ class Run(NamedTuple):
     """State of the adversary's random number generator. Shape (1,)."""
     results: RecordArray
     """`AttackResult`, written by the run. Shape (1,)."""
+    heights: Heights | None
+    """Altitude of the UAV; None: it flies in the plane, and nothing is compiled for an altitude."""
 
 
 class View(NamedTuple):
@@ -153,7 +160,7 @@ def empty_scratch() -> Scratch:
         sums=np.zeros(1, record_type(TickSums)),
         before=np.zeros(2, record_type(Motion)),
         now=np.zeros(2, record_type(Motion)),
-        ring=np.zeros((RING, 3)),
+        ring=np.zeros((RING, 4)),
         counts=certificate_counters(1),
     )
 

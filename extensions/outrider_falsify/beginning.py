@@ -126,6 +126,7 @@ def begin(run: Run) -> None:
     roles.ugv = choose(random, conditions.ugv, len(UGVS))
     roles.error = choose(random, conditions.error, len(ERRORS))
     _reset_adversaries(run.scratch, random, run.bounds.u_a, ugv_bound(run.bounds, conditions))
+    roles.climb = 0.0
     roles.rate = 0.05 + 1.5 * next_share(random)
     roles.controller_x, roles.controller_y = 0.0, 0.0
     _place(conditions, run.tables, run.state, random)

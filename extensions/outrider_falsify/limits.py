@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import msgspec
 
 from agents.safety.handover import check_assumptions
-from agents.safety.safety_filter import bounds_of
+from agents.safety.levels import bounds_of
 from bus.errors import ScenarioError
 from bus.messages.links import LinkSettings
 from bus.registry import LAWS

@@ -71,12 +71,14 @@ def _lose_trajectory(run: Run, view: View) -> bool:
 
 
 @compiled
-def send_command(run: Run, view: View, u_x: float, u_y: float, carries_trajectory: bool) -> None:
+def send_command(
+    run: Run, view: View, u_x: float, u_y: float, u_z: float, carries_trajectory: bool
+) -> None:
     """Send the UAV's command [m/s²], with or without a trajectory; the adversary may delay or drop it."""
     scratch, bounds = run.scratch, run.bounds
     uav = run.state.vehicles[0, UAV]
     sent = scratch.ring[view.tick % RING]
-    sent[0], sent[1], sent[2] = u_x, u_y, 1.0 if carries_trajectory else 0.0
+    sent[0], sent[1], sent[2], sent[3] = u_x, u_y, 1.0 if carries_trajectory else 0.0, u_z
     then = -1
     if scratch.trouble[0].away == 0:
         then = _delay_command(run.conditions, scratch, run.random, view.tick, bounds.dt)
@@ -84,5 +86,6 @@ def send_command(run: Run, view: View, u_x: float, u_y: float, carries_trajector
         then = -1
     sent, uav.outgoing_tick = scratch.ring[then % RING], then
     uav.outgoing[0], uav.outgoing[1] = sent[0], sent[1]
+    uav.vertical.outgoing = sent[3]
     uav.outgoing_motion = then + bounds.delay_ticks if sent[2] > 0.0 else -1
     uav.outgoing_motions = 1 if sent[2] > 0.0 else 0
