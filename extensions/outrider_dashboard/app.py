@@ -121,7 +121,7 @@ def application(
     async def frames(channel: WebSocket) -> None:
         await _serve_browser(hub, channel)
 
-    build_page(controls)
+    build_page(hub, controls)
     ui.run_with(
         app,
         title="Outrider",

@@ -80,7 +80,8 @@ class ChartData:
 
     Columns: time [s], real-time factor; x and y of each vehicle [m]; then for each escort the distance [m], e(t) [m²],
     the estimation error [m], the age of the newest detection [s] (None without one), the recent share of lost
-    detections, and 1 during a blackout, else 0.
+    detections, 1 during a blackout, else 0, and the distance within which the UGV is visible [m] (None: always r_v, or
+    a building hides it).
     """
 
     def __init__(self) -> None:
@@ -134,6 +135,7 @@ def _row(truth: Truth, factor: float, dt: float, losses: LossRates) -> Row:
             None if escort.report is None else round(escort.report.age, 3),
             None if lost is None else round(lost, 2),
             float(losses.has_blackout(truth.time, escort.uav, escort.ugv)),
+            round(escort.sight_radius, 3) if escort.sight_radius else None,
         )
     return tuple(row)
 

@@ -78,6 +78,7 @@ class Hub:
         self.source = source
         self.history = ChartData()
         self.status: Status | None = None
+        self.truth: Truth | None = None
         self.first_law = law
         self.browsers: dict[int, Browser] = {}
         self.teleoperation = SharedTeleoperation(source.control, source.drive)
@@ -117,6 +118,7 @@ class Hub:
                 self.history.losses.update(message)
                 self.teleoperation.update(message)
             elif isinstance(message, Truth):
+                self.truth = message
                 self.history.add(message, self.source.factor, self._dt)
         for message in newest.values():
             self._store(message)
@@ -130,7 +132,7 @@ class Hub:
         self._versions[kind] += 1
 
     @property
-    def _scene(self) -> Scene | None:
+    def scene(self) -> Scene | None:
         """Scene of the map; None until it is known."""
         status, escorts = self.status, dict(self.history.escorts)
         if status is None or not self.history.vehicles:
@@ -197,7 +199,7 @@ class Hub:
             frame["history"] = {"vehicles": history.vehicles, "escorts": history.escorts}
             browser.generation, browser.rows = history.generation, 0
         if "status" in frame or "history" in frame:
-            frame["scene"] = self._scene
+            frame["scene"] = self.scene
         if browser.rows < len(history.rows):
             frame["rows"] = history.rows[browser.rows :]
             browser.rows = len(history.rows)

@@ -6,6 +6,9 @@ from nicegui import ui
 
 from outrider_dashboard.controls.links_card import OBSERVER, LinkForm
 from outrider_dashboard.controls.widgets import card, html
+from outrider_dashboard.hub import Hub
+from outrider_dashboard.space_view import PERIOD as SPACE_PERIOD
+from outrider_dashboard.space_view import SpaceView
 from sim.scene import colors as scene_colors
 from sim.scene.model import LABELS
 
@@ -31,6 +34,7 @@ title="Vehicle to follow and show in the close-up; you can also click it on the 
 <span class="legend-rs"><i class="line limit dashed"></i><em>{LABELS["r_s"]} r<sub>s</sub></em></span>
 <span><i class="line uav thin"></i>{LABELS["r"]} r</span>
 <span><i class="line sight thin"></i>UAV to its UGV</span>
+<span class="building-key" hidden><i class="area building"></i>building, height [m] (faint: unknown)</span>
 <span><i class="dot start"></i>start</span><span id="legend-goal"><i class="cross">×</i>goal</span>
 <span><i class="line guess"></i>estimate, 2σ</span><span><i class="dot detection"></i>detections</span>
 <span class="ground"><i class="line ugv dashed thin"></i>planned route</span>
@@ -62,10 +66,11 @@ _HEAD = """<link rel="stylesheet" href="/static/colors.css"><link rel="styleshee
 <script type="module" src="/static/main.js"></script>"""
 
 
-def build_page(controls: BuildControls | None) -> None:
+def build_page(hub: Hub, controls: BuildControls | None) -> None:
     """Register the page with NiceGUI; each browser gets its own instance.
 
     Args:
+        hub: State of the run.
         controls: Builds the controls, including the card of the links; None: a page without controls.
     """
 
@@ -83,6 +88,7 @@ def build_page(controls: BuildControls | None) -> None:
             html("", "tiles")
             html("", "tiles mission")
             html(_MAP, "card map-card")
+            ui.timer(SPACE_PERIOD, SpaceView(hub).show)
             html(_CHARTS, "card charts")
             with ui.element("div").classes("side"):
                 if controls is not None:

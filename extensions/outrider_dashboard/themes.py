@@ -8,6 +8,7 @@ from sim.scene import colors
 _DARK_UAV = ("#5b9df5", "#8fd6ff", "#a58bff", "#b9c6ff")
 _DARK_UGV = ("#f28c38", "#ffc27d", "#c9742a", "#ffe08a")
 _DARK_COVERED = ("#171b21", "#1f3b2f", "#2f6d50")
+_DARK_BUILDINGS = ("#5a626e", "#9aa3af")
 _DARK_TILES = (
     (dark.FAINT, 0.22),
     ("#000000", 0.0),
@@ -35,6 +36,7 @@ def palettes() -> dict[str, dict[str, Any]]:
             "box": "#fffffff0",
             "halo": "#ffffffd0",
             "hazards": colors.HAZARDS,
+            "buildings": colors.BUILDINGS,
             "faint": colors.FAINT,
             "tiles": colors.TILES,
             "covered": _shades(colors.COVERED),
@@ -53,6 +55,7 @@ def palettes() -> dict[str, dict[str, Any]]:
             "box": f"{dark.PANEL}f0",
             "halo": f"{dark.BACKGROUND}d0",
             "hazards": dark.HAZARDS,
+            "buildings": _DARK_BUILDINGS,
             "faint": colors.FAINT,
             "tiles": _DARK_TILES,
             "covered": _shades(_DARK_COVERED),
@@ -94,6 +97,7 @@ def style() -> str:
 
 
 def _variables(palette: dict[str, Any]) -> dict[str, str]:
+    lowest, highest = palette["buildings"]
     single = {name: value for name, value in palette.items() if isinstance(value, str)}
     return {
         **single,
@@ -101,6 +105,7 @@ def _variables(palette: dict[str, Any]) -> dict[str, str]:
         "ugv": palette["ugv"][0],
         "seen": palette["uav"][1],
         **palette["hazards"],
+        "building": colors.mixed(lowest, highest, 0.5),
     }
 
 

@@ -74,6 +74,10 @@ class _Reference(NamedTuple):
     position: Vector
     velocity: Vector
     acceleration: Vector
+    altitude: float | None
+    """Altitude [m]; None: the UAV flies in the plane."""
+    climb_rate: float
+    """Climb rate [m/s]."""
     since: float
     """Time on the local monotonic clock [s]."""
 
@@ -112,7 +116,7 @@ class AutopilotLink:
         self._text_times: dict[tuple[str, Address], float] = {}
         self._texts = 0
         self._last_received = -math.inf
-        self._down = 0.0
+        self._down = self._anchor_altitude = 0.0
         self._sent = self._heartbeat = -math.inf
         self._sent_reference: _Reference | None = None
         self._packer: MavMessage = None
@@ -155,6 +159,8 @@ class AutopilotLink:
         (v_x, v_y), (u_x, u_y) = (
             (zero, zero) if paused else (reference.velocity, reference.acceleration)
         )
+        climb = 0.0 if paused else reference.climb_rate
+        rise = 0.0 if reference.altitude is None else reference.altitude - self._anchor_altitude
         self.setpoints += 1
         self._send(
             mavlink.MAVLink_set_position_target_local_ned_message(
@@ -163,8 +169,8 @@ class AutopilotLink:
                 self.peer.component,
                 mavlink.MAV_FRAME_LOCAL_NED,
                 _NO_YAW,
-                *(y + a_y, x + a_x, self._down),
-                *(v_y, v_x, 0.0),
+                *(y + a_y, x + a_x, self._down - rise),
+                *(v_y, v_x, 0.0 - climb),
                 *(u_y, u_x, 0.0),
                 *zero,
             )
@@ -268,13 +274,14 @@ class AutopilotLink:
         for message in status_texts(text, self._texts, warns=True):
             self.network.send(packed(message, self._packer), message.get_type(), to)
 
-    def set_anchor(self, position: Vector) -> None:
-        """Set the anchor for a UAV at this position [m], and the height to hold."""
+    def set_anchor(self, position: Vector, altitude: float | None = None) -> None:
+        """Set the anchor for a UAV at this position and altitude [m]; without an altitude, it holds its height."""
         reported = self.reported
         if reported is None:
             return
         (x, y), (p_x, p_y) = reported.position, position
         self.anchor, self._down = (x - p_x, y - p_y), reported.down
+        self._anchor_altitude = altitude or 0.0
 
     def deviation(self, position: Vector) -> float:
         """Return the reported tracking error for a reference position [m]; infinite without valid telemetry."""
@@ -335,6 +342,8 @@ class AutopilotPilot:
             observation.position,
             observation.velocity,
             command.acceleration,
+            observation.altitude,
+            observation.climb_rate,
             time.monotonic(),
         )
         if self._tracks or command.report is None:
@@ -347,7 +356,7 @@ class AutopilotPilot:
         reference = self._next
         if reference is not None:
             if self._link.anchor is None:
-                self._link.set_anchor(reference.position)
+                self._link.set_anchor(reference.position, reference.altitude)
             self._link.reference = reference
 
     def _inner(self, observation: UavObservation) -> Vector | None:

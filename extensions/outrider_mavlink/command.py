@@ -80,7 +80,7 @@ _First = Annotated[
 ]
 _Height = Annotated[
     float,
-    typer.Option(help="Set the UAVs' height in telemetry [m]; a run is flat.", min=0.0),
+    typer.Option(help="Set the height in telemetry of UAVs without an altitude [m].", min=0.0),
 ]
 
 

@@ -55,6 +55,10 @@ class Moving(NamedTuple):
     acceleration: Vector = (0.0, 0.0)
     covariance: Covariance | None = None
     """Covariance of the position, if it is an estimate [m²]."""
+    altitude: float | None = None
+    """Altitude above the ground [m]; None: the vehicle moves in the plane."""
+    climb_rate: float = 0.0
+    """Climb rate [m/s]."""
 
 
 def _clipped(value: float) -> int:
@@ -87,7 +91,7 @@ class VehicleSystem:
         number: Number of the system, 1 to 254.
         flies: True for a UAV.
         origin: Geodetic position of the scenario's origin.
-        height: Height of a UAV above the ground in its telemetry [m]; the scenario is flat.
+        height: Height in the telemetry of a UAV without an altitude [m].
     """
 
     def __init__(
@@ -108,7 +112,7 @@ class VehicleSystem:
         self.followed: Moving | None = None
         """Target in `FOLLOW_TARGET`: a UGV itself, or a UAV's estimate of its UGV."""
         self.origin = origin
-        self._height = height if flies else 0.0
+        self._flat_height = height if flies else 0.0
         self._heading = 0.0  # [rad], from north over east
         self.capabilities = 0
         """MAVLink capability flags beyond the common ones."""
@@ -187,6 +191,10 @@ class VehicleSystem:
         latitude, longitude, altitude = geodetic(self.origin, *position, height)
         return round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1e3)
 
+    def _height(self, moving: Moving) -> float:
+        """Return the height above the ground [m]."""
+        return self._flat_height if moving.altitude is None else moving.altitude
+
     @staticmethod
     def _boot(moving: Moving) -> int:
         return round(moving.time * 1e3) % _BOOT
@@ -197,22 +205,22 @@ class VehicleSystem:
         )
 
     def _global_position(self, moving: Moving) -> MavMessage:
-        v_x, v_y = moving.velocity
+        (v_x, v_y), height = moving.velocity, self._height(moving)
         heading = round(math.degrees(self._heading) * 100.0) % 36_000
         return mavlink.MAVLink_global_position_int_message(
             self._boot(moving),
-            *self._degrees(moving.position, self._height),
-            round(self._height * 1e3),
+            *self._degrees(moving.position, height),
+            round(height * 1e3),
             _clipped(v_y * 100.0),
             _clipped(v_x * 100.0),
-            0,
+            _clipped(-moving.climb_rate * 100.0),
             heading,
         )
 
     def _local_position(self, moving: Moving) -> MavMessage:
         (x, y), (v_x, v_y) = moving.position, moving.velocity
         return mavlink.MAVLink_local_position_ned_message(
-            self._boot(moving), y, x, -self._height, v_y, v_x, 0.0
+            self._boot(moving), y, x, -self._height(moving), v_y, v_x, 0.0 - moving.climb_rate
         )
 
     def _follow_target(self, _moving: Moving) -> MavMessage | None:

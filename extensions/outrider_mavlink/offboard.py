@@ -135,7 +135,16 @@ class OffboardGateway(Gateway):
         self.silent, system.origin = False, briefing.origin
         observation, report = flown.observation, flown.command.report
         position, velocity = observation.position, observation.velocity
-        system.move(Moving(observation.time, position, velocity, flown.command.acceleration))
+        system.move(
+            Moving(
+                observation.time,
+                position,
+                velocity,
+                flown.command.acceleration,
+                altitude=observation.altitude,
+                climb_rate=observation.climb_rate,
+            )
+        )
         system.mode = self._pilot.mode
         self.report_problem(
             system,

@@ -22,6 +22,7 @@ from outrider_mavlink.gateway import (
 )
 from outrider_mavlink.identity import MANUAL, MISSION, Moving, VehicleSystem
 from outrider_mavlink.udp import Network, Peer
+from sim.scene.altitude import Sight, sight_radius
 
 _RETRY = 1.0
 """Time between two requests for control of the same UGV [s]."""
@@ -44,7 +45,7 @@ class RunGateway(Gateway):
         network: UDP sockets.
         status: First status, with the run's geometry.
         first: System number of the first vehicle; the others follow in order of their names.
-        height: Height of the UAVs in their telemetry [m].
+        height: Height in the telemetry of UAVs without an altitude [m].
     """
 
     def __init__(
@@ -80,19 +81,29 @@ class RunGateway(Gateway):
             system = self._named.get(name)
             if system is not None:
                 moving = Moving(
-                    truth.time, vehicle.position, vehicle.velocity, vehicle.acceleration
+                    truth.time,
+                    vehicle.position,
+                    vehicle.velocity,
+                    vehicle.acceleration,
+                    altitude=vehicle.altitude,
+                    climb_rate=vehicle.climb_rate,
                 )
                 system.move(moving)
                 system.followed = None if system.flies else moving
         geometry = self._status.geometry
         radius = math.inf if geometry is None else geometry.visibility_radius
         for escort in truth.escorts:
-            ugv = escort.ugv
+            ugv, sight = escort.ugv, Sight(escort.distance, sight_radius(escort, radius))
+            why = (
+                "hidden by a building"
+                if sight.hidden
+                else f"out of sight: distance {sight.distance:.2f} m, r_v {sight.radius:.4g} m"
+            )
             self._report_problem(
                 escort.uav,
                 "visibility",
-                wrong=escort.distance >= radius,
-                worse=f"{ugv} is out of sight: distance {escort.distance:.2f} m, r_v {radius:g} m",
+                wrong=sight.lost,
+                worse=f"{ugv} is {why}",
                 better=f"{ugv} is in sight again",
             )
 

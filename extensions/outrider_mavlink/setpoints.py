@@ -12,7 +12,7 @@ from outrider_mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE, NOT_SUPPORTED
 from sim.models.vehicles import clip_norm
 
 WRONG_FRAME = "is not in frame LOCAL_NED"
-VERTICAL = "has a vertical component, but the run is flat"
+VERTICAL = "has a vertical component; the altitude law alone sets the altitude"
 POSITION = "has a position; only velocity and acceleration are supported"
 
 _POSITION = 0b000_000_011

@@ -1,8 +1,8 @@
 """Conversion of telemetry to ROS 2 messages: one pure function per topic.
 
 Frames follow REP 103 and 105: `map` with x east, y north, z up, in metres; `uav_0/base_link` moves in it. Vehicles are
-points in the plane without heading, so a base_link always has the orientation of the map. A twist in
-`uav_0/base_link` is therefore the velocity in `map`. Stamps are simulated time.
+points without heading, so a base_link always has the orientation of the map. A twist in `uav_0/base_link` is therefore
+the velocity in `map`. z is 0 except for UAVs with an altitude. Stamps are simulated time.
 """
 
 import math
@@ -14,6 +14,7 @@ from bus.errors import ScenarioError
 from bus.messages.base import Vector
 from bus.messages.telemetry import EscortTruth, Truth
 from outrider_ros2.interfaces import RosMessage, make
+from outrider_ros2.places import Vector3, place_of
 from outrider_ros2.run_view import PathTrack, RunView
 
 LATEST = (1 << 31) * 1_000_000_000 - 1
@@ -52,9 +53,10 @@ def header(seconds: float, frame: str = MAP) -> RosMessage:
     return make("std_msgs/msg/Header", stamp=stamp(seconds), frame_id=frame)
 
 
-def point_at(position: Vector) -> RosMessage:
-    """Return a point on the ground [m]."""
-    return make("geometry_msgs/msg/Point", x=position[0], y=position[1], z=0.0)
+def point_at(position: Vector | Vector3) -> RosMessage:
+    """Return a point [m], on the ground without a third coordinate."""
+    x, y, z = (*position, 0.0)[:3]
+    return make("geometry_msgs/msg/Point", x=x, y=y, z=z)
 
 
 def vector(x: float, y: float, z: float = 0.0) -> RosMessage:
@@ -66,8 +68,8 @@ def _upright() -> RosMessage:
     return make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
 
 
-def pose_at(position: Vector) -> RosMessage:
-    """Return a pose on the ground without rotation [m]."""
+def pose_at(position: Vector | Vector3) -> RosMessage:
+    """Return a pose without rotation [m], on the ground without a third coordinate."""
     return make("geometry_msgs/msg/Pose", position=point_at(position), orientation=_upright())
 
 
@@ -82,7 +84,7 @@ def clock(truth: Truth) -> RosMessage:
     return make("rosgraph_msgs/msg/Clock", clock=stamp(truth.time))
 
 
-def transform(seconds: float, parent: str, child: str, position: Vector) -> RosMessage:
+def transform(seconds: float, parent: str, child: str, position: Vector | Vector3) -> RosMessage:
     """Return the transform from a parent to a child frame at a position [m]."""
     return make(
         "geometry_msgs/msg/TransformStamped",
@@ -97,7 +99,7 @@ def transform(seconds: float, parent: str, child: str, position: Vector) -> RosM
 def transforms(truth: Truth) -> RosMessage:
     """Return the true pose of each vehicle: `map` to its base_link."""
     found = [
-        transform(truth.time, MAP, base_link(name), vehicle.position)
+        transform(truth.time, MAP, base_link(name), place_of(vehicle))
         for name, vehicle in truth.vehicles.items()
     ]
     return make("tf2_msgs/msg/TFMessage", transforms=found)
@@ -116,7 +118,7 @@ def static_transforms(view: RunView) -> RosMessage:
     return make("tf2_msgs/msg/TFMessage", transforms=found)
 
 
-def odometry(seconds: float, vehicle: str, position: Vector, velocity: Vector) -> RosMessage:
+def odometry(seconds: float, vehicle: str, position: Vector3, velocity: Vector3) -> RosMessage:
     """Return the odometry of a vehicle.
 
     Args:
@@ -140,17 +142,18 @@ def odometry(seconds: float, vehicle: str, position: Vector, velocity: Vector) -
 def true_odometry(truth: Truth, vehicle: str) -> RosMessage:
     """Return the true pose and velocity of a vehicle."""
     state = truth.vehicles[vehicle]
-    return odometry(truth.time, vehicle, state.position, state.velocity)
+    return odometry(truth.time, vehicle, place_of(state), (*state.velocity, state.climb_rate))
 
 
 def acceleration(truth: Truth, vehicle: str) -> RosMessage:
     """Return the acceleration applied since the last tick, after clipping to the bounds [m/s²]."""
+    state = truth.vehicles[vehicle]
     return make(
         "geometry_msgs/msg/AccelStamped",
         header=header(truth.time, base_link(vehicle)),
         accel=make(
             "geometry_msgs/msg/Accel",
-            linear=vector(*truth.vehicles[vehicle].acceleration),
+            linear=vector(*state.acceleration, state.vertical_acceleration),
             angular=vector(0.0, 0.0),
         ),
     )
@@ -171,19 +174,22 @@ def escort_of(truth: Truth, uav: str) -> EscortTruth | None:
     return next((one for one in truth.escorts if one.uav == uav), None)
 
 
-def detection(seconds: float, uav: str, relative_position: Vector) -> RosMessage:
-    """Return a detection as the position of the UGV relative to its UAV, -p_delta.
+def detection(
+    seconds: float, uav: str, relative_position: Vector, altitude: float | None = None
+) -> RosMessage:
+    """Return a detection as the position of the UGV relative to its UAV, -p_delta, on the ground.
 
     Args:
         seconds: Simulated time of the detection [s].
         uav: Name of the UAV.
         relative_position: p_delta = p_a - p_g with noise [m].
+        altitude: Altitude of the UAV [m]; None: it flies in the plane.
     """
     x, y = relative_position
     return make(
         "geometry_msgs/msg/PointStamped",
         header=header(seconds, base_link(uav)),
-        point=point_at((-x, -y)),
+        point=point_at((-x, -y, -(altitude or 0.0))),
     )
 
 
@@ -192,7 +198,7 @@ def true_detection(truth: Truth, uav: str) -> RosMessage:
     escort = escort_of(truth, uav)
     if escort is None or escort.detection is None:
         return None
-    return detection(truth.time, uav, escort.detection)
+    return detection(truth.time, uav, escort.detection, truth.vehicles[uav].altitude)
 
 
 def estimate(truth: Truth, uav: str) -> RosMessage:

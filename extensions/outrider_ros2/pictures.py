@@ -10,11 +10,15 @@ import numpy as np
 
 from bus.messages.base import Vector
 from bus.messages.ground import GroundMap
-from bus.messages.telemetry import CoverageMap
+from bus.messages.telemetry import CoverageMap, Truth
 from outrider_ros2.conversion import MAP, base_link, header, point_at, pose_at, stamp, vector
 from outrider_ros2.interfaces import RosMessage, make
+from outrider_ros2.places import Vector3, place_of
 from outrider_ros2.run_view import RunView
-from sim.scene.colors import FAINT, HAZARDS, LIMIT, rgb
+from sim.scene.altitude import altitudes_of, ring_radius
+from sim.scene.colors import FAINT, GOOD, HAZARDS, LIMIT, building, rgb
+from sim.scene.footprints import building_hazards
+from sim.scene.prism import prism
 
 _FLAT = 0.02
 """Thickness of markers on the ground [m]."""
@@ -73,7 +77,7 @@ def marker(
     color: RosMessage,
     position: Vector = (0.0, 0.0),
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0),
-    points: Iterable[Vector] = (),
+    points: Iterable[Vector | Vector3] = (),
 ) -> RosMessage:
     """Return a marker that moves with its frame until one with the same name and number replaces it."""
     return make(
@@ -106,8 +110,12 @@ def marker(
 
 
 def discs(view: RunView) -> RosMessage:
-    """Return markers for the radii around the vehicles, the vehicles, and the edge of the area."""
+    """Return markers for the radii around the vehicles, the vehicles, and the edge of the area.
+
+    Radii that depend on a UAV's altitude are in `sight`.
+    """
     scene = view.scene
+    still = [ring for ring in scene.rings if scene.space.camera is None or ring.symbol == "r_s"]
     found = [
         marker(
             frame=base_link(ring.around),
@@ -117,7 +125,7 @@ def discs(view: RunView) -> RosMessage:
             scale=(0.05, 0.0, 0.0),
             points=_circle(ring.radius),
         )
-        for ring in scene.rings
+        for ring in still
     ]
     found += [
         marker(
@@ -149,15 +157,65 @@ def discs(view: RunView) -> RosMessage:
     return make("visualization_msgs/msg/MarkerArray", markers=found)
 
 
-def _circle(radius: float) -> list[Vector]:
+def _circle(radius: float, center: Vector = (0.0, 0.0)) -> list[Vector]:
     angles = [2.0 * math.pi * k / _CORNERS for k in range(_CORNERS + 1)]
-    return [(radius * math.cos(angle), radius * math.sin(angle)) for angle in angles]
+    x, y = center
+    return [(x + radius * math.cos(angle), y + radius * math.sin(angle)) for angle in angles]
+
+
+def buildings(view: RunView) -> RosMessage:
+    """Return solid markers for the buildings, the taller the darker; None without buildings."""
+    found = view.scene.space.buildings
+    markers = [
+        marker(
+            frame=MAP,
+            name="building",
+            number=number,
+            shape=_TRIANGLES,
+            color=_color(building(one.height, found), 1.0),
+            points=prism(one),
+        )
+        for number, one in enumerate(found)
+    ]
+    return make("visualization_msgs/msg/MarkerArray", markers=markers) if markers else None
+
+
+def sight(view: RunView, truth: Truth) -> RosMessage:
+    """Return markers for what UAVs with an altitude see; None if all fly in the plane.
+
+    Fields of view and visibility radii are on the ground. The line from a UAV to its UGV is green while the UGV is
+    visible, else red.
+    """
+    scene, altitudes = view.scene, altitudes_of(truth.vehicles)
+    if scene.space.camera is None or not altitudes:
+        return None
+    mark = partial(marker, frame=MAP, shape=_LINE_STRIP, scale=(0.05, 0.0, 0.0))
+    found = [
+        mark(
+            name=f"{ring.around}/{ring.symbol}",
+            color=_color(ring.color, 0.9),
+            points=_circle(
+                ring_radius(scene, ring, altitudes), truth.vehicles[ring.around].position
+            ),
+        )
+        for ring in scene.rings
+        if ring.symbol != "r_s" and ring.around in truth.vehicles
+    ]
+    for one in truth.escorts:
+        seen = one.sight_radius is None or one.distance < one.sight_radius
+        ends = [place_of(truth.vehicles[name]) for name in (one.uav, one.ugv)]
+        color = _color(GOOD if seen else LIMIT, 1.0)
+        found.append(mark(name=f"{one.uav}/line of sight", color=color, points=ends))
+    return make("visualization_msgs/msg/MarkerArray", markers=found)
 
 
 def hazards(view: RunView, source: GroundMap) -> RosMessage:
-    """Return markers for the true hazards; hazards unknown to the UGVs are faint."""
+    """Return markers for the true hazards except buildings; hazards unknown to the UGVs are faint."""
     found = []
+    houses = set(building_hazards(view.scene.space.buildings, view.hazards).values())
     for number, (outline, state) in enumerate(zip(view.hazards, source.states, strict=False)):
+        if number in houses and state <= 1:
+            continue
         color = _color(LIMIT if state > 1 else HAZARDS[outline.kind], 1.0 if state else FAINT)
         mark = partial(marker, frame=MAP, name=outline.kind, number=number, color=color)
         if outline.polygon:

@@ -40,6 +40,7 @@ from outrider_ros2.interfaces import encode, make, require_extra, type_hash, typ
 from outrider_ros2.run_view import RunView, view_of
 from outrider_ros2.topics import TOPICS, TopicRow, messages_of
 from outrider_ros2.wire import Qos
+from sim.engine.briefing import all_buildings
 from sim.scenario.types import Scenario
 from sim.scene.known import geometry_of
 
@@ -148,7 +149,8 @@ class RosBag:
         """Start a run; without its scenario, messages are queued until a status contains the geometry."""
         self._private = self._private or bool(head.secret)
         if scenario is not None:
-            self._geometry = geometry_of(scenario)
+            buildings = all_buildings(scenario, head.seed, head.secret)
+            self._geometry = geometry_of(scenario, buildings)
         self._base = round(head.start * 1e9)
         self.take(SCENARIO, head, 0.0)
 

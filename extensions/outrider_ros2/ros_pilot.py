@@ -107,10 +107,16 @@ class RosPilot:
         with self._news:
             self._awaited, self._answer = observation, None
         name = self._party.name
+        height, climb = 0.0, 0.0
         if isinstance(observation, UavObservation):
+            height, climb = observation.altitude or 0.0, observation.climb_rate
             for one in observation.detections:
-                self._send(OWN_DETECTION, detection(one.time, name, one.relative_position))
-        own = odometry(observation.time, name, observation.position, observation.velocity)
+                self._send(
+                    OWN_DETECTION,
+                    detection(one.time, name, one.relative_position, observation.altitude),
+                )
+        place, velocity = (*observation.position, height), (*observation.velocity, climb)
+        own = odometry(observation.time, name, place, velocity)
         self._send(OWN_ODOMETRY, own)
         self._send(OBSERVATION, _text(observation))
 
@@ -183,15 +189,20 @@ class RosPilot:
         allowed = ("", MAP, base_link(self._party.name))
         if frame not in allowed:
             raise Refused("another frame", f"{frame}; allowed: {', '.join(allowed[1:])}")
-        if not (math.isfinite(value.x) and math.isfinite(value.y)):
-            raise Refused("not finite", f"{value.x}, {value.y}")
+        if not all(map(math.isfinite, (value.x, value.y, value.z))):
+            raise Refused("not finite", f"{value.x}, {value.y}, {value.z}")
         then = message.header.stamp
         if awaited is None or then != stamp(awaited.time):
             raise Refused(
                 "answers another tick",
                 f"stamp {then.sec}.{then.nanosec:09d}; allowed: the stamp of the observation",
             )
-        plain = {"tick": awaited.tick, "acceleration": (float(value.x), float(value.y))}
+        plain: dict[str, object] = {
+            "tick": awaited.tick,
+            "acceleration": (float(value.x), float(value.y)),
+        }
+        if isinstance(awaited, UavObservation) and awaited.altitude is not None:
+            plain["vertical_acceleration"] = float(value.z)
         try:
             command: Command = msgspec.convert(plain, _COMMAND[self._party.role])
             return command

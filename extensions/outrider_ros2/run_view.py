@@ -3,10 +3,11 @@
 import math
 from dataclasses import dataclass, field
 
-from bus.messages.base import Message, Vector
+from bus.messages.base import Message
 from bus.messages.ground import GroundMap, Hazard
 from bus.messages.telemetry import Geometry, Truth
 from outrider_ros2.interfaces import RosMessage
+from outrider_ros2.places import Vector3, place_of
 from sim.scene.model import Scene, observed_scene
 
 
@@ -16,12 +17,12 @@ class PathTrack:
 
     times: list[float] = field(default_factory=list)
     """Time of each point [s]."""
-    positions: list[Vector] = field(default_factory=list)
-    """Position of each point [m]."""
+    positions: list[Vector3] = field(default_factory=list)
+    """Position of each point [m]; on the ground for vehicles without an altitude."""
     step: float = 0.1
     """Minimum distance between two points [m]."""
 
-    def add(self, time: float, position: Vector, most: int = 500) -> None:
+    def add(self, time: float, position: Vector3, most: int = 500) -> None:
         """Add a position if it is far enough from the last point.
 
         Args:
@@ -59,7 +60,7 @@ class RunView:
         match message:
             case Truth():
                 for name, vehicle in message.vehicles.items():
-                    self.tracks.setdefault(name, PathTrack()).add(message.time, vehicle.position)
+                    self.tracks.setdefault(name, PathTrack()).add(message.time, place_of(vehicle))
             case GroundMap() if message.hazards:
                 self.hazards = message.hazards
 

@@ -158,6 +158,22 @@ TOPICS: tuple[TopicRow, ...] = (
         about="Visibility radius, sensor range, vehicles and edge of the area, moving with their frames.",
     ),
     TopicRow(
+        name="buildings",
+        interface="visualization_msgs/msg/MarkerArray",
+        qos=LATCHED,
+        convert=lambda view, _message, _name: pictures.buildings(view),
+        about="Buildings as solid bodies, the taller the darker.",
+    ),
+    TopicRow(
+        name="sight",
+        interface="visualization_msgs/msg/MarkerArray",
+        qos=NEWEST,
+        source=Truth,
+        convert=lambda view, truth, _name: pictures.sight(view, truth),
+        period=0.1,
+        about="Field of view and visibility radius of UAVs with an altitude, and their lines of sight: red if hidden.",
+    ),
+    TopicRow(
         name="coverage",
         interface="nav_msgs/msg/OccupancyGrid",
         qos=LATCHED,

@@ -36,7 +36,9 @@ def command(
 
     Example: outrider check my-scenario.toml --network wifi-poor
     """
+    from outrider.running.altitude_assumptions import certified_from
     from outrider.running.first_tick import check_first_tick
+    from sim.engine.briefing import uav_briefing
 
     scenario, named = resolve(
         file,
@@ -74,6 +76,10 @@ def command(
     law_text = f"law {scenario.law.name}" if scenario.uav else NO_UAV
     if certifiable not in (None, "always"):
         law_text += f", sight {certifiable} certified"
+    for uav in scenario.uav if certifiable is not None else ():
+        lowest = certified_from(uav_briefing(scenario, uav.name, scenario.seed))
+        if lowest:
+            OUT.tell(f"{uav.name}: {lowest}")
     OUT.tell(
         f"{scenario.name}: valid ({vehicles}; {law_text}; {scenario.duration:g} s, {scenario.ticks} ticks)"
     )

@@ -14,13 +14,15 @@ import msgspec
 
 from bus.messages.base import Message
 from bus.messages.ground import GroundMap
-from bus.messages.telemetry import CoverageMap, Truth
+from bus.messages.telemetry import CoverageMap, Status, Truth
 from bus.messages.vehicle import Teleoperation
 from bus.plugins import needs
 from outrider.recording import schemas
 from outrider.recording.tick_rows import Tick
 from outrider.recording.viewers import Place, Viewers
+from sim.engine.briefing import all_buildings
 from sim.scenario.types import Scenario
+from sim.scene.altitude import Sight, sight_radius
 
 with needs("record"):
     import foxglove
@@ -30,6 +32,10 @@ FLUSH_PERIOD = 0.25
 """Wall time between two flushes [s]: together with the thread's period, a kill loses less than half a second."""
 _LEVEL = 1
 """Compression level: the fastest of the library; on these messages as good as the default."""
+
+
+def _number(altitude: float | None) -> float:
+    return math.nan if altitude is None else altitude
 
 
 class _Sink:
@@ -118,6 +124,8 @@ class RecordingFile:
         self._lost = set()
         self._hazards_written = False
         self._viewers.begin(scenario)
+        if scenario is not None:
+            self._viewers.buildings(all_buildings(scenario, head.seed, head.secret))
         self._put(schemas.SCENARIO, head, 0.0)
         self.flush()
 
@@ -155,11 +163,17 @@ class RecordingFile:
         time_ns = self._put(topic, message, seconds)
         if isinstance(message, Truth):
             vehicles, escorts = message.vehicles.items(), message.escorts
-            places = ((name, (*one.position, *one.velocity)) for name, one in vehicles)
+            places = (
+                (name, (*one.position, *one.velocity, _number(one.altitude)))
+                for name, one in vehicles
+            )
             pairs = {escort.uav: escort.ugv for escort in escorts}
-            self._show(message.time, time_ns, places, pairs, [one.distance for one in escorts])
+            sights = [Sight(one.distance, sight_radius(one, self._r_v)) for one in escorts]
+            self._show(message.time, time_ns, places, pairs, sights)
         elif isinstance(message, CoverageMap):
             self._viewers.coverage(message, time_ns)
+        elif isinstance(message, Status) and message.geometry is not None:
+            self._viewers.buildings(message.geometry.buildings)
 
     def tick(self, tick: Tick, names: Sequence[str], escorts: Mapping[str, str]) -> None:
         """Write a tick whose messages are encoded already, with the commands of the previous tick.
@@ -177,7 +191,9 @@ class RecordingFile:
         time_ns = self._clock(tick.time)
         self._own[schemas.TRUTH.name].log(tick.truth, log_time=time_ns)
         places = zip(names, tick.states.tolist(), strict=True)
-        self._show(tick.time, time_ns, places, escorts, tick.distances)
+        radii = tick.radii or [self._r_v] * len(tick.distances)
+        sights = [Sight(*pair) for pair in zip(tick.distances, radii, strict=True)]
+        self._show(tick.time, time_ns, places, escorts, sights)
 
     def _show(
         self,
@@ -185,18 +201,19 @@ class RecordingFile:
         time_ns: int,
         places: Iterable[tuple[str, Place]],
         escorts: Mapping[str, str],
-        distances: Sequence[float],
+        sights: Sequence[Sight],
     ) -> None:
         """Write a tick for viewers, and log when a UAV loses sight of its UGV and when it sees it again."""
         if self._viewers.due(seconds):
             self._viewers.show(seconds, dict(places), escorts, time_ns)
-        for uav, distance in zip(escorts, distances, strict=True):
-            if (distance >= self._r_v) != (uav in self._lost):
+        for uav, sight in zip(escorts, sights, strict=True):
+            if sight.lost != (uav in self._lost):
                 self._lost ^= {uav}
                 seen = uav not in self._lost
                 what = "sees {} again" if seen else "has lost sight of {}"
+                behind = ", behind a building" if sight.hidden else ""
                 self.log(
-                    f"{uav} {what.format(escorts[uav])}: {distance:.3f} m",
+                    f"{uav} {what.format(escorts[uav])}: {sight.distance:.3f} m{behind}",
                     seconds,
                     warning=not seen,
                 )

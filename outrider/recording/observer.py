@@ -149,7 +149,12 @@ class RunRecorder:
             self.missing_ticks += truth.tick - self.newest_tick - 1
             if truth.tick == self.newest_tick + 1:
                 asked = {name: vehicle.command for name, vehicle in truth.vehicles.items()}
-                commands = Commands(tick=self.newest_tick, accelerations=asked)
+                climbs = {
+                    name: one.vertical_acceleration
+                    for name, one in truth.vehicles.items()
+                    if one.altitude is not None
+                }
+                commands = Commands(tick=self.newest_tick, accelerations=asked, vertical=climbs)
                 self._file.take(schemas.COMMANDS, commands, self.newest_time)
         self.ticks += 1
         self.newest_tick, self.newest_time = truth.tick, truth.time

@@ -15,12 +15,21 @@ import msgspec
 from bus.errors import ScenarioError
 from bus.files import open_regular
 from bus.messages.base import Message
+from bus.messages.buildings import Building
 from bus.messages.control import Change
 from bus.messages.ground import GroundMap
 from bus.messages.links import LinkStatus
-from bus.messages.telemetry import CertificateStatus, CoverageMap, MissionResult, Status, Truth
+from bus.messages.telemetry import (
+    CertificateStatus,
+    CoverageMap,
+    Geometry,
+    MissionResult,
+    Status,
+    Truth,
+)
 from bus.plugins import needs
 from outrider.recording import schemas
+from sim.engine.briefing import all_buildings
 from sim.scenario.types import Scenario
 
 with needs("record"):
@@ -278,7 +287,19 @@ class Recording:
     """Counts of certified ticks in the last status, compared with the truth; None without a safety filter."""
     mission: MissionResult | None = None
     """Mission result in the last status; None without hazards."""
+    geometry: Geometry | None = None
+    """Constants of the run as an observer received them; None: the simulator recorded itself."""
     damage: Damage = field(default_factory=Damage)
+
+    @property
+    def buildings(self) -> tuple[Building, ...]:
+        """Buildings of the run; empty if they are unknown."""
+        if self.geometry is not None:
+            return self.geometry.buildings
+        head = self.head
+        if head.scenario is None:
+            return ()
+        return all_buildings(self.scenario, head.seed, head.secret)
 
     @property
     def last_ground(self) -> GroundMap | None:
@@ -339,6 +360,7 @@ def load(path: Path) -> list[Recording]:
         elif isinstance(message, Status):
             flights[-1].links, flights[-1].certificates = message.links, message.certificates
             flights[-1].mission = message.mission
+            flights[-1].geometry = message.geometry or flights[-1].geometry
             if message.realtime_factor > 0.0:
                 flights[-1].factors.append(message.realtime_factor)
     if not flights:

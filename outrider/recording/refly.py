@@ -14,6 +14,7 @@ from sim.server.flight import Flight
 from sim.server.recorder import platform_row
 
 _FIELDS = ("position", "velocity", "acceleration")
+_HEIGHT = "altitude and climb rate"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,6 +84,10 @@ def _put(flight: Flight, truth: Truth) -> None:
         world.position[k] = vehicle.position
         world.velocity[k] = vehicle.velocity
         world.acceleration[k] = vehicle.acceleration
+        if vehicle.altitude is not None:
+            world.vertical["altitude"][k] = vehicle.altitude
+            world.vertical["rate"][k] = vehicle.climb_rate
+            world.vertical["acceleration"][k] = vehicle.vertical_acceleration
     escorts = {escort.uav: escort for escort in truth.escorts}
     for k, uav in enumerate(world.uavs):
         found = escorts[uav.name].detection
@@ -118,6 +123,7 @@ def restore(recording: Recording) -> Flight:
     for truth in recording.truths[1:]:
         for k, name in enumerate(flight.world.names):
             flight.commands[k] = truth.vehicles[name].command
+            flight.world.vertical["command"][k] = truth.vehicles[name].vertical_acceleration
         while flight.world.tick < truth.tick - 1:
             flight.world.step(flight.commands)
             flight.recorder.record([None] * len(flight.world.uavs))
@@ -147,6 +153,7 @@ def _commands(recording: Recording, flight: Flight) -> Iterator[bool]:
             return
         for k, name in enumerate(flight.world.names):
             flight.commands[k] = asked.accelerations[name]
+            flight.world.vertical["command"][k] = asked.vertical.get(name, np.nan)
         yield True
 
 
@@ -161,6 +168,17 @@ def _difference(flight: Flight, truth: Truth) -> Difference | None:
                 return Difference(
                     tick=truth.tick, vehicle=name, field=field, recorded=recorded, flown=flown
                 )
+        own, there = world.vertical[k], truth.vehicles[name]
+        if there.altitude is None:
+            continue
+        recorded, flown = (
+            (there.altitude, there.climb_rate),
+            (float(own["altitude"]), float(own["rate"])),
+        )
+        if recorded != flown:
+            return Difference(
+                tick=truth.tick, vehicle=name, field=_HEIGHT, recorded=recorded, flown=flown
+            )
     return None
 
 

@@ -64,6 +64,8 @@ class Commands(Message, frozen=True, kw_only=True):
     tick: Tick
     accelerations: dict[Name, Vector]
     """Accelerations by vehicle [m/s²]."""
+    vertical: dict[Name, float] = msgspec.field(default_factory=dict)
+    """Vertical acceleration of each UAV with an altitude, after its bounds [m/s²]."""
 
 
 class OperatorCommand(Teleoperation, frozen=True, kw_only=True):

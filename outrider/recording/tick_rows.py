@@ -21,6 +21,7 @@ from sim.server.flight import Flight
 Reports = Sequence[UavReport | None]
 """Report of each UAV; None: no report."""
 
+_VERTICAL = ("altitude", "climb_rate", "vertical_acceleration")
 _TICK, _MARK = 700_000, 700_001
 """Placeholders in a sample: of the tick, and the first of its numbers."""
 
@@ -37,8 +38,10 @@ class Tick(NamedTuple):
     """Commands of the previous tick; empty: none."""
     distances: list[float]
     """Distance of each escort [m]."""
+    radii: list[float] | None
+    """Distance within which each UAV sees its UGV [m], 0 while a building hides it; None: r_v."""
     states: FloatArray
-    """Position and velocity of each vehicle, shape (vehicles, 4)."""
+    """Position, velocity and altitude of each vehicle, shape (vehicles, 5); NaN: no altitude."""
 
 
 class TickTexts:
@@ -52,6 +55,9 @@ class TickTexts:
         self._flight = flight
         self._encoder = msgspec.json.Encoder()
         self._marks = _MARK
+        self._climbs = flight.scenario.has_altitude
+        # Numbers of a vehicle and of an escort; the last of an escort is a gap for its report.
+        self._of_vehicle, self._of_escort = (11, 6) if self._climbs else (8, 5)
         time = self._number()
         vehicles = {
             name: VehicleTruth(
@@ -59,16 +65,18 @@ class TickTexts:
                 velocity=self._pair(),
                 acceleration=self._pair(),
                 command=self._pair(),
+                **self._numbers_of(*_VERTICAL),
             )
             for name in flight.world.names
         }
         self._escorts = self._marks - _MARK
-        """Number of values before the escorts' values; an escort has five, the last a gap for its report."""
+        """Number of values before the escorts' values."""
         escorts = tuple(
             EscortTruth(
                 uav=uav.name,
                 ugv=uav.escorts,
                 distance=self._number(),
+                **self._numbers_of("sight_radius"),
                 coverage_error=self._number(),
                 detection=self._pair(),
                 report=None,
@@ -76,17 +84,22 @@ class TickTexts:
             for uav in flight.world.uavs
         )
         asked = {name: vehicle.command for name, vehicle in vehicles.items()}
-        self._asked = itemgetter(
-            *(round(number) - _MARK for pair in asked.values() for number in pair)
-        )
+        uavs = [uav.name for uav in flight.world.uavs if self._climbs]
+        climbs = {name: vehicles[name].vertical_acceleration for name in uavs}
+        numbers = [number for pair in asked.values() for number in pair] + list(climbs.values())
+        self._asked = itemgetter(*(round(number) - _MARK for number in numbers))
         self._truth = self._template(
             Truth(tick=_TICK, time=time, vehicles=vehicles, escorts=escorts)
         )
-        self._commands = self._template(Commands(tick=_TICK, accelerations=asked))
+        self._commands = self._template(Commands(tick=_TICK, accelerations=asked, vertical=climbs))
 
     def _number(self) -> float:
         self._marks += 1
         return float(self._marks - 1)
+
+    def _numbers_of(self, *fields: str) -> dict[str, float]:
+        """Return placeholders of fields that only a flight with altitudes has."""
+        return {name: self._number() for name in fields if self._climbs}
 
     def _pair(self) -> Vector:
         return self._number(), self._number()
@@ -104,20 +117,34 @@ class TickTexts:
         """Return the numbers of the texts in order, one row per tick; NaN is written as null."""
         recorder, (count, vehicles, _) = self._flight.recorder, commands.shape
         numbers: FloatArray = np.full(
-            (count, self._escorts + 5 * len(self._flight.world.uavs)), np.nan
+            (count, self._escorts + self._of_escort * len(self._flight.world.uavs)), np.nan
         )
         numbers[:, 0] = np.arange(first, first + count) * self._flight.scenario.dt
-        moving = numbers[:, 1 : self._escorts].reshape(count, vehicles, 8)
+        moving = numbers[:, 1 : self._escorts].reshape(count, vehicles, self._of_vehicle)
         moving[:, :, :4] = recorder.states[first : first + count, :, :4]
         if first:
             moving[:, :, 4:6] = recorder.states[first - 1 : first + count - 1, :, 4:6]
         else:
             moving[0, :, 4:6], moving[1:, :, 4:6] = 0.0, recorder.states[: count - 1, :, 4:6]
         moving[:, :, 6:8] = commands
-        escorts = numbers[:, self._escorts :].reshape(count, -1, 5)
-        escorts[:, :, :4] = recorder.escorts[first : first + count, :, :4]
-        escorts[:, :, 1] = np.where(escorts[:, :, 1] > 0.0, escorts[:, :, 1], 0.0)
+        escorts = numbers[:, self._escorts :].reshape(count, -1, self._of_escort)
+        escorts[:, :, 0] = recorder.escorts[first : first + count, :, 0]
+        escorts[:, :, -4:-1] = recorder.escorts[first : first + count, :, 1:4]
+        escorts[:, :, -4] = np.where(escorts[:, :, -4] > 0.0, escorts[:, :, -4], 0.0)
+        if self._climbs:
+            self._fill_heights(first, moving, escorts)
         return numbers
+
+    def _fill_heights(self, first: int, moving: FloatArray, escorts: FloatArray) -> None:
+        """Fill in the numbers of the vertical motion."""
+        recorder, uavs = self._flight.recorder, self._flight.world.escorts[:, 0]
+        heights = recorder.heights[first : first + len(moving)]
+        moving[:, :, 9:] = 0.0  # of a UGV, whose altitude is null
+        moving[:, uavs, 8:10] = heights[:, :, :2]
+        before = max(first - 1, 0)
+        applied = recorder.heights[before : first + len(moving) - 1, :, 2]
+        moving[len(moving) - len(applied) :, uavs, 10] = applied
+        escorts[:, :, 1] = heights[:, :, 3]
 
     def of(self, first: int, commands: FloatArray, reports: Sequence[Reports]) -> Iterator[Tick]:
         """Yield consecutive ticks of the flight's record.
@@ -128,15 +155,20 @@ class TickTexts:
             reports: Reports of the UAVs at each tick.
         """
         numbers, dt, at = self._numbers(first, commands), self._flight.scenario.dt, self._escorts
-        width, encode = numbers.shape[1], self._encoder.encode
+        width, encode, step = numbers.shape[1], self._encoder.encode, self._of_escort
         texts = encode(numbers.ravel().tolist())[1:-1].split(b",")
-        states = numbers[:, 1:at].reshape(*commands.shape[:2], 8)[:, :, :4]
-        distances = numbers[:, at::5].tolist()
+        moving = numbers[:, 1:at].reshape(*commands.shape[:2], -1)
+        states = np.full((*commands.shape[:2], 5), np.nan)
+        states[:, :, :4] = moving[:, :, :4]
+        if self._climbs:
+            states[:, :, 4] = moving[:, :, 8]
+        distances = numbers[:, at::step].tolist()
+        radii = numbers[:, at + 1 :: step].tolist() if self._climbs else [None] * len(numbers)
         for k, tick_reports in enumerate(reports):
             tick, row = first + k, texts[k * width : (k + 1) * width]
             for escort, report in enumerate(tick_reports):
                 if report is not None:
-                    row[at + 5 * escort + 4] = encode(report)
+                    row[at + step * (escort + 1) - 1] = encode(report)
             truth = (self._truth % (tick, *row)).replace(b"[null,null]", b"null")  # no detection
             asked = self._commands % (tick - 1, *self._asked(row)) if tick else b""
-            yield Tick(tick * dt, (tick - 1) * dt, truth, asked, distances[k], states[k])
+            yield Tick(tick * dt, (tick - 1) * dt, truth, asked, distances[k], radii[k], states[k])

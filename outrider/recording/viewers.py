@@ -8,13 +8,17 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from bus.messages.buildings import Building
 from bus.messages.ground import Hazard
 from bus.messages.telemetry import CoverageMap
 from bus.plugins import needs
 from sim.scenario.types import Scenario
-from sim.scene.colors import HAZARDS, rgb
+from sim.scene.altitude import ring_radius
+from sim.scene.colors import HAZARDS, building, rgb
+from sim.scene.footprints import building_hazards
 from sim.scene.known import scene_of
 from sim.scene.model import Ring, Scene, SceneVehicle, observed_scene
+from sim.scene.prism import prism
 
 with needs("record"):
     import foxglove
@@ -29,10 +33,10 @@ _TRACK_ROOM = 200
 _MOST_HAZARDS = 500
 """Largest number of hazards shown, as each scene holds all of them."""
 _UAV_HEIGHT, _UGV_HEIGHT = 1.0, 0.1
-"""Heights at which viewers show UAVs and UGVs [m]; the world itself is flat."""
+"""Heights at which viewers show UGVs, and UAVs without an altitude [m]."""
 
 Place = Sequence[float]
-"""Position [m] and velocity [m/s] of a vehicle: x, y, v_x, v_y."""
+"""Position [m], velocity [m/s] and altitude [m] of a vehicle: x, y, v_x, v_y, z; NaN: no altitude."""
 
 
 def _color(code: str, opacity: float = 1.0) -> messages.Color:
@@ -44,15 +48,15 @@ def _stamp(time_ns: int) -> messages.Timestamp:
     return messages.Timestamp(sec=time_ns // 1_000_000_000, nsec=time_ns % 1_000_000_000)
 
 
-def _ring(ring: Ring) -> messages.LinePrimitive:
-    """Return a circle around a vehicle, in the vehicle's frame."""
+def _ring(ring: Ring, radius: float, z: float) -> messages.LinePrimitive:
+    """Return a circle around a vehicle, in the vehicle's frame; `radius`, `z`: its size and height there [m]."""
     angles = [2.0 * math.pi * k / 96 for k in range(96)]
     kinds = messages.LinePrimitiveLineType
     return messages.LinePrimitive(
         type=kinds.LineList if ring.dashed else kinds.LineLoop,
         thickness=0.0375 * ring.width,
         points=[
-            messages.Point3(x=ring.radius * math.cos(angle), y=ring.radius * math.sin(angle))
+            messages.Point3(x=radius * math.cos(angle), y=radius * math.sin(angle), z=z)
             for angle in angles
         ],
         color=_color(ring.color),
@@ -72,6 +76,13 @@ def _outline(hazard: Hazard) -> messages.LinePrimitive:
     )
 
 
+def _prism(one: Building, grey: str) -> messages.TriangleListPrimitive:
+    """Return a building as a solid body."""
+    return messages.TriangleListPrimitive(
+        points=[messages.Point3(x=x, y=y, z=z) for x, y, z in prism(one)], color=_color(grey)
+    )
+
+
 class _Track:
     """Path of a vehicle: a line that becomes coarser as it becomes longer."""
 
@@ -79,11 +90,11 @@ class _Track:
         self.points: list[messages.Point3] = []
         self._step, self._passed = 1, -1  # one point in `_step` is kept
 
-    def follow(self, x: float, y: float) -> None:
-        """Add the vehicle's current position [m]."""
+    def follow(self, x: float, y: float, z: float) -> None:
+        """Add the vehicle's current position [m]; without an altitude, its path is on the ground."""
         self._passed += 1
         if self._passed % self._step == 0:
-            self.points.append(messages.Point3(x=x, y=y, z=0.02))
+            self.points.append(messages.Point3(x=x, y=y, z=0.02 if math.isnan(z) else z))
         if len(self.points) > _TRACK_ROOM:
             del self.points[1::2]
             self._step *= 2
@@ -128,7 +139,9 @@ class Viewers:
         self._scene: Scene | None = None if scenario is None else scene_of(scenario)
         self._tracks = defaultdict[str, _Track](_Track)
         self._yaw: dict[str, float] = {}
-        self._bodies = self._hazards = b""
+        self._altitudes: dict[str, float] = {}
+        self._bodies = self._hazards = self._houses = b""
+        self._buildings: tuple[Building, ...] = ()
         self._next_view = self._next_scene = -math.inf
 
     def due(self, time: float) -> bool:
@@ -166,19 +179,22 @@ class Viewers:
         time_ns: int,
     ) -> messages.FrameTransform:
         """Write one vehicle's pose, and return it as a transform."""
-        x, y, v_x, v_y = place
+        x, y, v_x, v_y, z = place
+        if not math.isnan(z):
+            self._altitudes[name] = z
         if v_x * v_x + v_y * v_y > 1e-6:
             self._yaw[name] = math.atan2(v_y, v_x)
         half = 0.5 * self._yaw.get(name, 0.0)
         turn = messages.Quaternion(z=math.sin(half), w=math.cos(half))
-        spot = messages.Vector3(x=x, y=y, z=_UAV_HEIGHT if is_uav else _UGV_HEIGHT)
+        height = self._altitudes.get(name, _UAV_HEIGHT if is_uav else _UGV_HEIGHT)
+        spot = messages.Vector3(x=x, y=y, z=height)
         if name not in self._poses:
             self._poses[name] = channels.PoseInFrameChannel(f"/pose/{name}", context=self._context)
         pose = messages.Pose(position=spot, orientation=turn)
         self._poses[name].log(
             messages.PoseInFrame(timestamp=stamp, frame_id="world", pose=pose), log_time=time_ns
         )
-        self._tracks[name].follow(x, y)
+        self._tracks[name].follow(x, y, z)
         return messages.FrameTransform(
             timestamp=stamp,
             parent_frame_id="world",
@@ -190,7 +206,9 @@ class Viewers:
     def _draw(self, escorts: Mapping[str, str], stamp: messages.Timestamp, time_ns: int) -> None:
         if self._scene is None:
             self._scene = observed_scene("", None, escorts=escorts, vehicles=self._tracks)
-        if not self._bodies:  # made once, as each is attached to its vehicle's frame
+        if (
+            not self._bodies or self._altitudes
+        ):  # in the plane, bodies in their vehicle's frame never change
             entities = [self._entity(self._scene, vehicle) for vehicle in self._scene.vehicles]
             self._bodies = messages.SceneUpdate(entities=entities).encode()
         tracks = []
@@ -208,23 +226,38 @@ class Viewers:
             )
         moving = messages.SceneUpdate(entities=tracks).encode()
         # protobuf concatenates the lists of entities
-        self._scenes.log(self._hazards + self._bodies + moving, log_time=time_ns)
+        scene = self._hazards + self._houses + self._bodies + moving
+        self._scenes.log(scene, log_time=time_ns)
+
+    def buildings(self, buildings: tuple[Building, ...]) -> None:
+        """Show these buildings from the next scene on."""
+        if buildings == self._buildings:
+            return
+        self._buildings = buildings
+        bodies = [_prism(one, building(one.height, buildings)) for one in buildings]
+        entity = messages.SceneEntity(frame_id="world", id="buildings", triangles=bodies)
+        self._houses = messages.SceneUpdate(entities=[entity]).encode()
 
     def hazards(self, hazards: Sequence[Hazard]) -> None:
         """Show these hazards from the next scene on."""
-        outlines = [_outline(hazard) for hazard in hazards[:_MOST_HAZARDS]]
+        drawn = set(building_hazards(self._buildings, tuple(hazards)).values())
+        others = [hazard for k, hazard in enumerate(hazards) if k not in drawn]
+        outlines = [_outline(hazard) for hazard in others[:_MOST_HAZARDS]]
         entity = messages.SceneEntity(frame_id="world", id="hazards", lines=outlines)
         self._hazards = messages.SceneUpdate(entities=[entity]).encode()
 
-    @staticmethod
-    def _entity(scene: Scene, vehicle: SceneVehicle) -> messages.SceneEntity:
-        """Return the entity of a vehicle with the circles around it."""
-        color = _color(vehicle.color)
+    def _entity(self, scene: Scene, vehicle: SceneVehicle) -> messages.SceneEntity:
+        """Return the entity of a vehicle with the circles around it, which are on the ground."""
+        color, z = _color(vehicle.color), self._altitudes.get(vehicle.name)
+        height = 0.0 if z is None else 0.02 - z
+        rings = [ring for ring in scene.rings if ring.around == vehicle.name]
         return messages.SceneEntity(
             frame_id=vehicle.name,
             id=vehicle.name,
             frame_locked=True,
-            lines=[_ring(ring) for ring in scene.rings if ring.around == vehicle.name],
+            lines=[
+                _ring(ring, ring_radius(scene, ring, self._altitudes), height) for ring in rings
+            ],
             **(_uav(color) if vehicle.flies else _ugv(color)),
         )
 

@@ -1,5 +1,6 @@
 """Picture of a recorded flight as PNG, or a film from above as GIF or MP4."""
 
+import math
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
@@ -16,13 +17,16 @@ from outrider.recording.reader import Recording, coverages, grounds
 from outrider.recording.refly import external_uavs, from_the_start, restore
 from sim.compiling.compile import FloatArray
 from sim.scenario.types import NO_UAV
+from sim.scene.altitude import altitudes_of, sight_radius, worst_sight
 from sim.scene.colors import (
+    BUILDINGS,
     COVERED,
     FAINT,
     HAZARDS,
     INK,
     LIMIT,
     MUTED,
+    SHADOW,
     TILES,
     UAV,
     UGV,
@@ -114,6 +118,9 @@ def _hazard_colors() -> Iterator[str]:
     for color in HAZARDS.values():
         yield from (mixed(unknown, color, share) for share in (FAINT, 1.0))
         yield mixed(COVERED[-1], color, 0.5)
+    yield from (mixed(*BUILDINGS, share) for share in (0.0, 0.25, 0.5, 0.75, 1.0))
+    for opacity in SHADOW[1:]:
+        yield from (mixed(paper, SHADOW[0], opacity) for paper in COVERED)
 
 
 def _palette(*, hazards: bool) -> Image.Image:
@@ -196,10 +203,10 @@ class Film:
         """True if the ground has hazards."""
         head = recording.head
         facts = f"seed {head.seed}"
-        self._r_v: float | None = None
+        self._r_v = math.inf
         if head.scenario is not None:
             scenario = recording.scenario
-            scene = scene_of(scenario)
+            scene = scene_of(scenario, recording.buildings)
             law = law_title(scenario, external_uavs(recording))
             facts = f"law {law}   ·   {facts}" if scenario.uav else f"{NO_UAV}   ·   {facts}"
             self._r_v = scenario.visibility.radius
@@ -254,7 +261,10 @@ class Film:
             coverage,
             estimates,
             time=truth.time,
-            distance=max((escort.distance for escort in truth.escorts), default=None),
-            r_v=self._r_v,
+            sight=worst_sight(
+                (escort.distance, sight_radius(escort, self._r_v)) for escort in truth.escorts
+            ),
             hazards=hazards,
+            altitudes=altitudes_of(truth.vehicles),
+            hidden={escort.uav for escort in truth.escorts if escort.sight_radius == 0.0},
         )

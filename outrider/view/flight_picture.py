@@ -15,16 +15,21 @@ from bus.errors import shortened
 from bus.messages.ground import GroundMap
 from outrider import style
 from sim.compiling.compile import FloatArray
+from sim.scene.altitude import sight_at
 from sim.scene.drawing import Map, legend_of
 from sim.scene.ground_map import HIT, ground_map
 from sim.scene.known import inner_radius, scene_of
 from sim.scene.model import Scene
 from sim.server.flight import Flight
 
+_RATIOS = (1.35, 1.0, 0.8, 0.8)
+"""Heights of the charts beside the map, relative to each other."""
 SIZE = (1400, 800)
 """Size of the picture [px]."""
 _LEGEND_OF_GROUND = 60
 """Additional height for the legend of hazards [px]."""
+_ALTITUDE = 130
+"""Additional height for the chart of the altitude [px]."""
 
 
 def draw_flight(flight: Flight, path: Path, hazards: GroundMap | None = None) -> None:
@@ -57,10 +62,11 @@ def flight_figure(flight: Flight, hazards: GroundMap | None = None) -> Figure:
         width, height = SIZE
         if hazards is not None:
             height += _LEGEND_OF_GROUND
-        figure = style.new_figure(width, height, header=0.1)
         panels = _panels(flight)
+        height += _ALTITUDE if _draw_altitude in panels else 0
+        figure = style.new_figure(width, height, header=0.1)
         grid = figure.add_gridspec(
-            len(panels), 2, width_ratios=(1.2, 1.0), height_ratios=(1.35, 1.0, 0.8)[: len(panels)]
+            len(panels), 2, width_ratios=(1.2, 1.0), height_ratios=_RATIOS[: len(panels)]
         )
         _draw_map(figure, figure.add_subplot(grid[:, 0]), flight, hazards)
         for k, draw in enumerate(panels):
@@ -77,9 +83,10 @@ def _panels(flight: Flight) -> tuple[Callable[[Axes, Flight], None], ...]:
     """Return the functions that draw the charts beside the map."""
     if not flight.world.uavs:
         return (_draw_speed,)
+    panels: tuple[Callable[[Axes, Flight], None], ...] = (_draw_distance, _draw_error)
     if flight.scenario.detections.noise > 0.0:
-        return _draw_distance, _draw_error, _draw_estimate
-    return _draw_distance, _draw_error
+        panels += (_draw_estimate,)
+    return (*panels, _draw_altitude) if flight.scenario.has_altitude else panels
 
 
 def times(flight: Flight) -> FloatArray:
@@ -103,17 +110,19 @@ def draw_map(
         scene: Scene of its scenario, with the circles to draw.
         hazards: Ground map with hazards; None: no hazards.
     """
-    states = flight.recorder.states
+    states, heights = flight.recorder.states, flight.recorder.heights[-1]
     drawn = Map(axes, scene, hazards=hazards)
     drawn.show(
         {name: states[:, k, :2] for k, name in enumerate(flight.world.names)},
         np.minimum(flight.world.coverage / flight.scenario.coverage.desired, 1.0),
+        altitudes=dict(zip(_names(flight), heights[:, 0].tolist(), strict=False)),
+        hidden={name for name, row in zip(_names(flight), heights, strict=False) if row[3] == 0.0},
     )
     return drawn.image
 
 
 def _draw_map(figure: Figure, axes: Axes, flight: Flight, hazards: GroundMap | None) -> None:
-    scene = scene_of(flight.scenario)
+    scene = scene_of(flight.scenario, flight.world.buildings)
     image = draw_map(axes, flight, scene, hazards)
     if hazards is not None:  # the legend is too long for the space below the map
         keys = legend_of(scene, hazards=hazards)
@@ -131,14 +140,18 @@ def _draw_map(figure: Figure, axes: Axes, flight: Flight, hazards: GroundMap | N
         style.coverage_bar(figure, image, axes)
 
 
-def shade_violations(axes: Axes, time: FloatArray, distance: FloatArray, r_v: float) -> None:
+def _names(flight: Flight) -> tuple[str, ...]:
+    return tuple(uav.name for uav in flight.world.uavs)
+
+
+def _shade_violations(axes: Axes, flight: Flight) -> None:
     """Shade the times at which the UGV is out of sight, eq. (5)."""
     top = axes.get_ylim()[1]
     axes.fill_between(
-        time,
+        times(flight),
         0.0,
         top,
-        where=(distance >= r_v).tolist(),
+        where=flight.recorder.lost.any(axis=1).tolist(),
         color=style.LIMIT,
         alpha=0.12,
         linewidth=0.0,
@@ -154,11 +167,66 @@ def _draw_distance(axes: Axes, flight: Flight) -> None:
         axes.plot(time, distance[:, k], color=style.color(style.UAV, k), label=uav.name)
     style.over_time(axes, _end(flight), r"$\|p_\Delta\|$ [m]")
     axes.set_ylim(0.0, 1.12 * max(r_v, float(distance.max())))
-    style.limits_of_sight(axes, r_v, inner_radius(flight.scenario, flight.world.uavs[0].escorts))
-    shade_violations(axes, time, distance.max(axis=1), r_v)
+    r_s = inner_radius(flight.scenario, flight.world.uavs[0].escorts)
+    if flight.scenario.has_altitude:
+        style.limits_of_sight(axes, None, r_s)
+        _draw_radii(axes, flight)
+    else:
+        style.limits_of_sight(axes, r_v, r_s)
+    _shade_violations(axes, flight)
     axes.set_title("Distance between UAV and UGV")
     if distance.shape[1] > 1:
         style.legend_above(axes)
+
+
+def _radii(flight: Flight) -> FloatArray:
+    """Return the visibility radius of each UAV at its altitude [m]. Shape (rows, UAVs)."""
+    scenario = flight.scenario
+    space, r_v = scene_of(scenario).space, scenario.visibility.radius
+    columns = [
+        [sight_at(space, uav.escorts, r_v, z) for z in flight.recorder.heights[:, k, 0].tolist()]
+        for k, uav in enumerate(flight.world.uavs)
+    ]
+    found: FloatArray = np.array(columns).T
+    return found
+
+
+def _draw_radii(axes: Axes, flight: Flight) -> None:
+    """Draw the visibility radius over time, as it depends on the altitude."""
+    radii = _radii(flight)
+    for k in range(radii.shape[1]):
+        axes.plot(times(flight), radii[:, k], color=style.LIMIT, linewidth=1.3, zorder=1.5)
+    axes.text(
+        1.012,
+        radii[-1, 0],
+        "$r_v(z)$",
+        color=style.LIMIT,
+        va="center",
+        transform=axes.get_yaxis_transform(),
+    )
+
+
+def _draw_altitude(axes: Axes, flight: Flight) -> None:
+    """Draw the altitudes, and the roof of the highest building."""
+    altitudes, buildings = flight.recorder.heights[:, :, 0], flight.world.buildings
+    for k, name in enumerate(_names(flight)):
+        axes.plot(times(flight), altitudes[:, k], color=style.color(style.UAV, k), label=name)
+    style.over_time(axes, _end(flight), "z [m]")
+    axes.set_ylim(0.0, 1.15 * float(altitudes.max()))
+    axes.set_title("Altitude of the UAV" if altitudes.shape[1] == 1 else "Altitude of the UAVs")
+    if not buildings:
+        return
+    highest = max(building.height for building in buildings)
+    axes.axhline(highest, color=style.MUTED, linewidth=1.2, linestyle=style.DASHED, zorder=1.5)
+    axes.text(
+        0.01,
+        highest,
+        f"highest building, {highest:.1f} m",
+        color=style.MUTED,
+        fontsize=8.0,
+        va="bottom",
+        transform=axes.get_yaxis_transform(),
+    )
 
 
 def _draw_error(axes: Axes, flight: Flight) -> None:
@@ -208,6 +276,10 @@ def _draw_speed(axes: Axes, flight: Flight) -> None:
         style.legend_above(axes)
 
 
+_LEVEL = 0.05
+"""Largest change of an altitude that counts as level flight [m]."""
+
+
 class _Verdict(NamedTuple):
     """Verdict on visibility, for the header."""
 
@@ -223,12 +295,21 @@ def _verdict(flight: Flight) -> _Verdict | None:
     if not distance.size:
         return None
     r_v, farthest = flight.scenario.visibility.radius, float(distance.max())
-    reached = f"largest distance {farthest:.2f} m of $r_v$ = {r_v:g} m"
-    lost = int((distance >= r_v).any(axis=1).sum())
-    verdict, color = f"UGV always in sight, margin {r_v - farthest:.2f} m", style.GOOD
-    if lost:
-        verdict, color = f"UGV out of sight for {lost * flight.scenario.dt:.2f} s", style.LIMIT
-    return _Verdict(verdict, color, reached)
+    reached, margin = f"largest distance {farthest:.2f} m", r_v - farthest
+    heights = flight.recorder.heights
+    if flight.scenario.has_altitude:
+        margin = float((_radii(flight) - distance).min())
+        lowest, highest = float(heights[:, :, 0].min()), float(heights[:, :, 0].max())
+        span = "" if highest - lowest < _LEVEL else f"{lowest:.1f} to "
+        reached += f"   ·   altitude {span}{highest:.1f} m"
+    else:
+        reached += f" of $r_v$ = {r_v:g} m"
+    dt, lost = flight.scenario.dt, int(flight.recorder.lost.any(axis=1).sum())
+    if not lost:
+        return _Verdict(f"UGV always in sight, margin {margin:.2f} m", style.GOOD, reached)
+    hidden = int((heights[:, :, 3] == 0.0).any(axis=1).sum()) if heights.shape[1] else 0
+    behind = f", for {hidden * dt:.2f} s of it behind a building" if hidden else ""
+    return _Verdict(f"UGV out of sight for {lost * dt:.2f} s{behind}", style.LIMIT, reached)
 
 
 def _draw_header(figure: Figure, flight: Flight, hazards: GroundMap | None) -> None:

@@ -19,6 +19,7 @@ from bus.messages.ground import Hazard
 from bus.plugins import needs
 from sim.compiling.compile import FloatArray, IntArray
 from sim.engine.batch import Batch
+from sim.scene.altitude import worst_sight
 from sim.scene.ground_map import ground_map
 from sim.scene.known import scene_of
 from sim.world import World
@@ -121,20 +122,30 @@ class Drawing:
 
         ground = ground_map(world, routes=routes)
         hazards = () if ground is None else ground.hazards
-        if self._frames is None or self._hazards != hazards:
-            self._frames = Frames(scene_of(world.scenario), width=_WIDTH, hazards=ground)
+        if self._frames is None or self._hazards != hazards:  # buildings are hazards, too
+            scene = scene_of(world.scenario, world.buildings)
+            self._frames = Frames(scene, width=_WIDTH, hazards=ground)
             self._hazards = hazards
         distances, errors = world.measure().T.tolist()
+        radii = world.vehicles["sight_radius"][world.escorts[:, 0]].tolist()
+        heights = world.vertical["altitude"].tolist()
         frame = self._frames.draw(
             {name: ways[:, k] for k, name in enumerate(world.names)},
             np.minimum(world.coverage / world.parameters.desired, 1.0),
             time=world.time,
-            distance=max(distances, default=None),
-            r_v=world.parameters.r_v,
+            sight=worst_sight(zip(distances, radii, strict=True)),
             facts=f"{'sum of ' if len(errors) > 1 else ''}e(t) = {sum(errors):.0f} m²"
             if errors
             else "no UAV",
             hazards=ground,
+            altitudes={
+                uav.name: heights[k]
+                for uav, k in zip(world.uavs, world.escorts[:, 0].tolist(), strict=True)
+                if uav.initial_altitude is not None
+            },
+            hidden={
+                uav.name for uav, radius in zip(world.uavs, radii, strict=True) if radius == 0.0
+            },
         )
         return frame[:, :, :3].copy()
 

@@ -4,8 +4,9 @@ Loaded only for drawing. It uses matplotlib objects on Agg, never pyplot, and le
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from types import MappingProxyType
 from typing import Any
 
 import matplotlib as mpl
@@ -19,7 +20,10 @@ from matplotlib.patches import Circle, Ellipse
 
 from bus.messages.ground import GroundMap
 from sim.compiling.compile import FloatArray
-from sim.scene.colors import COVERED, ESTIMATE, INK, MUTED, RULE, UAV, UGV
+from sim.scene.altitude import ring_radius
+from sim.scene.buildings import DrawnBuildings, DrawnShadow, legend_of_buildings
+from sim.scene.colors import COVERED, ESTIMATE, INK, LIMIT, MUTED, RULE, UAV, UGV
+from sim.scene.footprints import building_hazards
 from sim.scene.hazards import DrawnGround, legend_of_ground
 from sim.scene.model import Point, Ring, Scene
 
@@ -64,6 +68,7 @@ _LOOK: dict[str, Any] = {
     "agg.path.chunksize": 20000,
 }
 
+_PLANE: Mapping[str, float] = MappingProxyType({})
 Estimate = tuple[Point, tuple[float, float, float]]
 """UAV's estimate of its UGV's position [m], and its covariance xx, xy, yy [m²]."""
 
@@ -165,7 +170,16 @@ class Map:
             extent=(0.0, scene.width, 0.0, scene.height),
             interpolation="bilinear",
         )
-        self._hazards = None if hazards is None else DrawnGround(axes, hazards)
+        self._scene, buildings = scene, scene.space.buildings
+        self._hazards = (
+            None
+            if hazards is None
+            else DrawnGround(axes, hazards, building_hazards(buildings, hazards.hazards).values())
+        )
+        self._buildings = DrawnBuildings(axes, buildings, hazards) if buildings else None
+        above = buildings and scene.space.camera is not None
+        self._shadow = DrawnShadow(axes, scene) if above else None
+        self._cells: tuple[int, int] | None = None
         self._still: list[Artist] = []
         self._tracks: dict[str, Track] = {}
         self._routes: dict[str, Line2D] = {}
@@ -178,7 +192,7 @@ class Map:
             if hazards is not None and not one.flies:
                 (self._routes[one.name],) = axes.plot([], [], color=one.color, **_ROUTE)
             self._tracks[one.name] = Track(axes, one.color, flies=one.flies)
-        self._rings = [(ring.around, draw_ring(axes, ring)) for ring in scene.rings]
+        self._rings = [(ring, draw_ring(axes, ring)) for ring in scene.rings]
         self._sights: dict[tuple[str, str], Line2D] = {}
         if scene.rings:
             for pair in scene.escorts:
@@ -199,6 +213,8 @@ class Map:
         found: list[Artist] = [self.image, *self._still, *self._sights.values()]
         found += self._routes.values()
         found += [] if self._hazards is None else self._hazards.artists
+        found += [] if self._buildings is None else self._buildings.artists
+        found += [] if self._shadow is None else [self._shadow.artist]
         found += [artist for track in self._tracks.values() for artist in track.artists]
         found += [circle for _, circle in self._rings]
         found += [artist for one in self._estimates.values() for artist in one.artists]
@@ -210,6 +226,8 @@ class Map:
         coverage: npt.NDArray[Any] | None = None,
         estimates: Mapping[str, Estimate] | None = None,
         hazards: GroundMap | None = None,
+        altitudes: Mapping[str, float] = _PLANE,
+        hidden: Collection[str] = (),
     ) -> None:
         """Show a moment of the run.
 
@@ -218,19 +236,28 @@ class Map:
             coverage: Share of the desired coverage, from 0 to 1, shape (rows, columns); None: unchanged.
             estimates: Estimate of each UAV that has one.
             hazards: Ground with its hazards; None: unchanged.
+            altitudes: Altitude of each UAV that has one [m].
+            hidden: UAVs from which a building hides their UGV.
         """
         if hazards is not None and self._hazards is not None:
             self._hazards.show(hazards)
             self._show_routes(hazards)
+        if hazards is not None and self._buildings is not None:
+            self._buildings.show(hazards)
         if coverage is not None:
             self.image.set_data(coverage)
+            self._cells = (coverage.shape[0], coverage.shape[1])
         for name, track in self._tracks.items():
             track.move(tracks[name])
-        for name, circle in self._rings:
-            x, y = tracks[name][-1].tolist()
-            circle.center = (x, y)
+        places = {name: (float(way[-1, 0]), float(way[-1, 1])) for name, way in tracks.items()}
+        for ring, circle in self._rings:
+            circle.center = places[ring.around]
+            circle.set_radius(ring_radius(self._scene, ring, altitudes))
+        if self._shadow is not None and self._cells is not None:
+            self._shadow.show(places, altitudes, self._cells)
         for (uav, ugv), line in self._sights.items():
             line.set_data(*zip(tracks[uav][-1], tracks[ugv][-1], strict=True))
+            line.set_color(LIMIT if uav in hidden else MUTED)
         for uav, artist in self._estimates.items():
             artist.show((estimates or {}).get(uav))
 
@@ -279,11 +306,14 @@ def legend_of(
         keys.append(key(UGV[0], "goal", marker="x", linestyle="", markeredgewidth=1.8))
     for ring in reversed({ring.symbol: ring for ring in reversed(scene.rings)}.values()):
         line: Any = (0, (3, 1.6)) if ring.dashed else "-"
-        label = f"{ring.label} ${ring.symbol}$"
+        at = "(z)" if scene.space.camera is not None and ring.symbol != "r_s" else ""
+        label = f"{ring.label} ${ring.symbol}{at}$"
         keys.append(key(ring.color, label, linestyle=line, linewidth=ring.width))
     if estimates:
         keys.append(key(ESTIMATE, "estimate, 2σ", linestyle="", marker="+", markeredgewidth=1.2))
+    keys += legend_of_buildings(scene, hazards)
     if hazards is not None:
+        drawn = building_hazards(scene.space.buildings, hazards.hazards).values()
         keys.append(key(UGV[0], "planned route", **_ROUTE))
-        keys += legend_of_ground(hazards)
+        keys += legend_of_ground(hazards, drawn)
     return keys

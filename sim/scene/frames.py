@@ -1,7 +1,9 @@
 """Animated scene: constant parts are drawn once, moving artists are updated."""
 
+import math
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from matplotlib.figure import Figure
 
 from bus.messages.ground import GroundMap
 from sim.compiling.compile import FloatArray
+from sim.scene.altitude import Sight
 from sim.scene.colors import COVERED, LIMIT, MUTED
 from sim.scene.drawing import DPI, Estimate, Map, key, legend_of, look
 from sim.scene.model import Scene
@@ -24,6 +27,7 @@ _LABELS = 10
 """Extra offset of the ground to the right, for labels of three digits and the axis label [px]."""
 _TALLEST = 1000
 """Maximum height of the ground [px]."""
+_PLANE: Mapping[str, float] = MappingProxyType({})
 
 
 class Frames:
@@ -72,8 +76,8 @@ class Frames:
                 ],
                 loc="lower center",
                 ncols=4,
-                fontsize=7.5,
-                columnspacing=1.3 if hazards is None else 1.0,
+                fontsize=7.0 if scene.space.buildings else 7.5,
+                columnspacing=1.3 if hazards is None else 0.9,
                 handletextpad=0.5,
             )
             self._moving: list[Artist] = [
@@ -106,36 +110,47 @@ class Frames:
         estimates: Mapping[str, Estimate] | None = None,
         *,
         time: float,
-        distance: float | None,
-        r_v: float | None,
+        sight: Sight | None,
         facts: str | None = None,
         hazards: GroundMap | None = None,
+        altitudes: Mapping[str, float] = _PLANE,
+        hidden: Collection[str] = (),
     ) -> npt.NDArray[np.uint8]:
-        """Return the picture of a moment; the first three arguments and `hazards` as in `Map.show`.
+        """Return the picture of a moment; arguments that are not explained are those of `Map.show`.
 
         Args:
             tracks: Path of each vehicle so far [m].
             coverage: Coverage of the ground.
             estimates: Estimate of each UAV that has one.
             time: Simulated time [s].
-            distance: Largest distance between a UAV and its UGV [m]; None: no UAV.
-            r_v: Visibility radius [m]; None: unknown.
+            sight: Pair that is closest to losing sight; an infinite radius is unknown. None: no UAV.
             facts: Line below the title; None: unchanged.
             hazards: Ground with its hazards; None: unchanged.
+            altitudes: Altitude of each UAV that has one [m].
+            hidden: UAVs from which a building hides their UGV.
 
         Returns:
             Red, green, blue and opacity; shape (rows, columns, 4). Each call returns a new array.
         """
-        self._map.show(tracks, coverage, estimates, hazards)
-        lost = distance is not None and r_v is not None and distance >= r_v
-        limit = "" if r_v is None else f" of {r_v:g} m"
-        text = "" if distance is None else f"distance {distance:5.2f} m{limit}"
+        self._map.show(tracks, coverage, estimates, hazards, altitudes, hidden)
         self._clock.set_text(f"{time:7.1f} s")
-        self._distance.set_text(f"{text}{'  OUT OF SIGHT' if lost else ''}")
-        self._distance.set_color(LIMIT if lost else MUTED)
+        self._distance.set_text(_sight_text(sight, altitudes))
+        self._distance.set_color(LIMIT if sight is not None and sight.lost else MUTED)
         if facts is not None:
             self._facts.set_text(facts)
         self._canvas.restore_region(self._background)  # type: ignore[no-untyped-call]
         for artist in self._moving:
             self._figure.draw_artist(artist)
         return np.array(self._canvas.buffer_rgba(), dtype=np.uint8)  # type: ignore[no-untyped-call]
+
+
+def _sight_text(sight: Sight | None, altitudes: Mapping[str, float]) -> str:
+    """Return the lowest altitude, and the distance between UAV and UGV with its limit."""
+    text = f"z = {min(altitudes.values()):.1f} m   " if altitudes else ""
+    if sight is None:
+        return text
+    text += f"distance {sight.distance:5.2f} m"
+    if sight.hidden:
+        return f"{text}  HIDDEN"
+    limit = f" of {sight.radius:.4g} m" if math.isfinite(sight.radius) else ""
+    return f"{text}{limit}{'  OUT OF SIGHT' if sight.lost else ''}"

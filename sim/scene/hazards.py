@@ -1,5 +1,6 @@
 """Ground with hazards as matplotlib artists: a shade over unknown tiles, and the hazards on it."""
 
+from collections.abc import Collection
 from itertools import product
 from typing import Any
 
@@ -13,6 +14,7 @@ from matplotlib.patches import Patch
 from matplotlib.path import Path
 
 from bus.messages.ground import GroundMap, Hazard
+from sim.models.ground import UNSEEN
 from sim.scene.colors import FAINT, HAZARDS, INK, LIMIT, TILES, rgb
 from sim.scene.ground_map import HIT, KNOWN, UNKNOWN
 
@@ -36,10 +38,11 @@ class DrawnGround:
     Args:
         axes: Axes to draw on.
         ground: First map to show, with the hazards.
+        drawn: Indices of the hazards that are drawn otherwise.
     """
 
-    def __init__(self, axes: Axes, ground: GroundMap) -> None:
-        self._kinds = [hazard.kind for hazard in ground.hazards]
+    def __init__(self, axes: Axes, ground: GroundMap, drawn: Collection[int] = ()) -> None:
+        self._kinds = ["" if k in drawn else hazard.kind for k, hazard in enumerate(ground.hazards)]
         self._outlines = [_outline(hazard) for hazard in ground.hazards]
         self._centers = np.array([one.middle for one in ground.hazards]).reshape(-1, 2)
         width, height = ground.columns * ground.tile, ground.rows * ground.tile
@@ -90,17 +93,24 @@ class DrawnGround:
             stars.set_data(shown[:, 0], shown[:, 1])
 
 
-def legend_of_ground(ground: GroundMap) -> list[Artist]:
-    """Return the entries of its legend: each kind of hazard present, and the shade."""
-    kinds = {hazard.kind for hazard in ground.hazards}
+def legend_of_ground(ground: GroundMap, drawn: Collection[int] = ()) -> list[Artist]:
+    """Return the entries of its legend: each kind of hazard present, and the shade.
+
+    Args:
+        ground: The map.
+        drawn: Indices of the hazards that are drawn otherwise.
+    """
+    kinds = {hazard.kind for k, hazard in enumerate(ground.hazards) if k not in drawn}
     keys: list[Artist] = []
     if "block" in kinds:
         keys.append(Patch(label="blocked, faint: unknown", linewidth=0.8, **_SOLID))
+    if "block" in kinds or drawn:
         keys.append(Patch(label="hit", linewidth=0.8, **(_SOLID | {"facecolor": LIMIT})))
     if "rough" in kinds:
         keys.append(Patch(label="rough", linewidth=0.8, **_ROUGH))
     if "find" in kinds:
         keys.append(Line2D([], [], label="found, hollow: not yet", **_STAR, **_FOUND))
     color, opacity = TILES[0]
-    keys.append(Patch(facecolor=color, alpha=opacity, label="unknown to the UGV"))
+    if UNSEEN in ground.tiles:
+        keys.append(Patch(facecolor=color, alpha=opacity, label="unknown to the UGV"))
     return keys

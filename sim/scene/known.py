@@ -3,12 +3,13 @@
 import math
 
 from bus.messages.base import Vector
+from bus.messages.buildings import Building
 from bus.messages.telemetry import Geometry
 from bus.registry import DRIVERS
 from sim.engine.briefing import limits
 from sim.scenario.types import Scenario, Ugv, switching_radius
 from sim.scenario.world_checks import escorts
-from sim.scene.model import Scene, assembled
+from sim.scene.model import Scene, Space, assembled
 
 
 def inner_radius(scenario: Scenario, ugv: str) -> float | None:
@@ -23,8 +24,13 @@ _GOALS = 100
 """Number of a UGV's goals sent to observers."""
 
 
-def geometry_of(scenario: Scenario) -> Geometry:
-    """Return the part of a scenario that is sent to observers."""
+def geometry_of(scenario: Scenario, buildings: tuple[Building, ...] = ()) -> Geometry:
+    """Return the part of a scenario that is sent to observers.
+
+    Args:
+        scenario: Scenario of the run.
+        buildings: Buildings of the run, with those of its fields.
+    """
     radii = (switching_radius(scenario, uav, ugv) for _, uav, ugv in escorts(scenario))
     radius = next(radii, math.inf)
     return Geometry(
@@ -37,6 +43,9 @@ def geometry_of(scenario: Scenario) -> Geometry:
         uavs={uav.name: uav.escorts for uav in scenario.uav},
         goals={ugv.name: goals[:_GOALS] for ugv in scenario.ugv if (goals := _goals(ugv))},
         origin=scenario.origin,
+        buildings=buildings,
+        camera=scenario.camera if scenario.has_altitude else None,
+        marker_heights=_markers(scenario),
     )
 
 
@@ -46,8 +55,15 @@ def _goals(ugv: Ugv) -> tuple[Vector, ...]:
     return ugv.goals if driver.wants == "goals" or not driver.module else ()
 
 
-def scene_of(scenario: Scenario) -> Scene:
-    """Return the scene of a scenario."""
+def _markers(scenario: Scenario) -> dict[str, float]:
+    """Return the height of each UGV's marker [m]; empty if the UAVs fly in the plane."""
+    if not scenario.has_altitude:
+        return {}
+    return {ugv.name: ugv.marker_height for ugv in scenario.ugv}
+
+
+def scene_of(scenario: Scenario, buildings: tuple[Building, ...] = ()) -> Scene:
+    """Return the scene of a scenario; `buildings`: those of the run."""
     ugvs = sorted(ugv.name for ugv in scenario.ugv)
     return assembled(
         scenario.title or scenario.name,
@@ -57,4 +73,9 @@ def scene_of(scenario: Scenario) -> Scene:
         goals={ugv.name: _goals(ugv) for ugv in scenario.ugv},
         radii=(scenario.visibility.radius, scenario.sensor.range),
         inner={ugv: inner_radius(scenario, ugv) for ugv in ugvs},
+        space=Space(
+            buildings=buildings,
+            camera=scenario.camera if scenario.has_altitude else None,
+            markers=_markers(scenario),
+        ),
     )

@@ -6,8 +6,9 @@ passed to the drawing code.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+from bus.messages.buildings import Building, Camera
 from bus.messages.telemetry import Geometry
 from sim.scene.colors import LIMIT, UAV, UGV, color
 
@@ -49,6 +50,17 @@ class Ring:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Space:
+    """Third dimension of a scene: buildings, and the camera of UAVs with an altitude."""
+
+    buildings: tuple[Building, ...] = ()
+    camera: Camera | None = None
+    """Camera; None: the UAVs fly in the plane."""
+    markers: Mapping[str, float] = field(default_factory=dict)
+    """Height of each UGV's marker [m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
     """Constant content of a run's pictures."""
 
@@ -61,6 +73,7 @@ class Scene:
     escorts: tuple[tuple[str, str], ...]
     """Pairs (UAV, escorted UGV)."""
     rings: tuple[Ring, ...] = ()
+    space: Space = field(default_factory=Space)
 
     def with_rings(self, *symbols: str) -> "Scene":
         """Return the scene with only the circles of these symbols."""
@@ -104,6 +117,11 @@ def observed_scene(
         goals=geometry.goals,
         radii=(r_v, geometry.sensor_range),
         inner=dict.fromkeys(ugvs, r_s if r_s is not None and 0.0 < r_s < r_v else None),
+        space=Space(
+            buildings=geometry.buildings,
+            camera=geometry.camera,
+            markers=geometry.marker_heights,
+        ),
     )
 
 
@@ -116,6 +134,7 @@ def assembled(
     goals: Mapping[str, tuple[Point, ...]] | None = None,
     radii: Point | None = None,
     inner: Mapping[str, float | None] | None = None,
+    space: Space | None = None,
 ) -> Scene:
     """Return a scene from its parts.
 
@@ -127,6 +146,7 @@ def assembled(
         goals: Goals of each UGV [m].
         radii: r_v and the sensor's range [m]; None: no circles.
         inner: r_s around each UGV [m]; None: no circle.
+        space: Buildings and camera; None: neither.
     """
     uavs, ugvs = sorted(escorts), list(ugvs)
     vehicles = [
@@ -153,6 +173,7 @@ def assembled(
         vehicles=tuple(vehicles),
         escorts=tuple((uav, escorts[uav]) for uav in uavs),
         rings=tuple(rings),
+        space=space or Space(),
     )
 
 

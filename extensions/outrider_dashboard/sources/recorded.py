@@ -57,7 +57,9 @@ class RecordedRun:
             if not status.over and status.realtime_factor
         ]
         self._geometry = (
-            None if recording.head.scenario is None else geometry_of(recording.scenario)
+            None
+            if recording.head.scenario is None
+            else geometry_of(recording.scenario, recording.buildings)
         )
         self._file = recording.path.name
         self._note = recording.damage.reason

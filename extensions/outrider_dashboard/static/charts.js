@@ -12,9 +12,9 @@ export const CHARTS = [
   { id: "factor", label: "Real-time factor [×]", column: -1, time: true },
 ];
 
-// Columns of a row for each escort; the fifth is the share of lost detections, the sixth is 1 during a blackout.
-export const PER_ESCORT = 6;
-const [LOST, BLACKOUT] = [4, 5];
+// Columns of a row for each escort; from the fifth on: share of lost detections, 1 during a blackout, radius of sight.
+export const PER_ESCORT = 7;
+const [LOST, BLACKOUT, SIGHT] = [4, 5, 6];
 
 export class Charts {
   constructor(store) {
@@ -72,10 +72,11 @@ export class Charts {
     const [left, right, top] = [46, 30, 20];
     const bottom = chart.time ? 34 : 8;
     const series = this.series(chart);
-    const limits = chart.lines && geometry ? [[geometry.visibility_radius, "r_v", []]] : [];
-    if (limits.length && innerRadius) limits.push([innerRadius, "r_s", [5, 4]]);
+    const limits = chart.lines && geometry && !geometry.camera ? [[geometry.visibility_radius, "r_v", []]] : [];
+    if (chart.lines && geometry && innerRadius) limits.push([innerRadius, "r_s", [5, 4]]);
+    const sights = chart.lines && geometry && geometry.camera ? this.series({ column: SIGHT }) : []; // r_v at the altitude
     let high = Math.max(chart.least || 0, ...limits.map(([value]) => value * 1.08));
-    for (const { at } of series) for (const row of rows) if (row[at] > high) high = row[at] * 1.04;
+    for (const { at } of [...series, ...sights]) for (const row of rows) if (row[at] > high) high = row[at] * 1.04;
     if (!(high > 0)) high = 1;
     const [w, h] = [width - left - right, height - top - bottom];
     const X = (t) => left + ((t - start) / (end - start)) * w;
@@ -120,6 +121,13 @@ export class Charts {
       write(c, name, left + w + 5, Y(value));
     }
     c.lineJoin = "round";
+    for (const { at } of sights) drawLine(c, rows, at, colors.limit, X, Y);
+    const newest = sights.length && rows.length ? rows[rows.length - 1][sights[0].at] : null;
+    if (newest) {
+      c.fillStyle = colors.limit;
+      const below = innerRadius ? Y(innerRadius) - 12 : height;
+      write(c, "r_v", left + w + 5, newest > innerRadius ? Math.min(Y(newest), below) : Y(newest));
+    }
     for (const { at, color } of series) drawLine(c, rows, at, color, X, Y);
     if (this.cursor !== null) this.drawCursor(c, rows, series, { X, Y, left, w, top, h, start, end });
   }

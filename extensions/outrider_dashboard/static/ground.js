@@ -1,5 +1,6 @@
 // Map: ground, paths, vehicles and their names, goals, visibility radii, close-up.
 
+import { Buildings, ringRadius } from "./buildings.js";
 import { FONT, colorOf, fit, paint, ticks } from "./canvas.js";
 import { CloseUp } from "./close_up.js";
 import { Hazards } from "./hazards.js";
@@ -17,7 +18,7 @@ export class Ground {
     this.store = store;
     this.tools = canvas.parentElement.querySelector(".map-tools");
     this.image = document.createElement("canvas");
-    this.hazards = new Hazards(store);
+    this.hazards = new Hazards(store, new Buildings(store));
     this.labels = new Labels();
     this.map = null;
     this.closeUp = new CloseUp(this, store);
@@ -234,7 +235,9 @@ export class Ground {
     const { truth, scene, colors } = this.store;
     if (!truth || !scene || !scene.rings.length) return;
     const at = (name) => truth.vehicles[name] && truth.vehicles[name].position;
-    for (const { around, symbol, radius, width, dashed } of scene.rings) {
+    for (const one of scene.rings) {
+      const { around, symbol, width, dashed } = one;
+      const radius = ringRadius(scene, one, truth.vehicles);
       const place = at(around);
       if (!place) continue;
       const color = symbol === "r" ? this.vehicleColor(around) : colors.limit;
@@ -245,11 +248,12 @@ export class Ground {
       ring(c, X(place[0]), Y(place[1]), radius * scale, symbol === "r");
     }
     c.setLineDash([]);
-    c.strokeStyle = `${colors.ink}66`;
     c.lineWidth = 1;
     for (const pair of scene.escorts) {
       const [from, to] = pair.map(at);
       if (!from || !to) continue;
+      const escort = truth.escorts.find(({ uav }) => uav === pair[0]);
+      c.strokeStyle = escort && escort.sight_radius === 0 ? colors.limit : `${colors.ink}66`;
       c.beginPath();
       c.moveTo(X(from[0]), Y(from[1]));
       c.lineTo(X(to[0]), Y(to[1]));

@@ -14,8 +14,9 @@ const middle = (corners) =>
   });
 
 export class Hazards {
-  constructor(store) {
+  constructor(store, buildings) {
     this.store = store;
+    this.buildings = buildings;
     this.image = document.createElement("canvas");
     this.map = null;
   }
@@ -37,13 +38,17 @@ export class Hazards {
   draw(c, view) {
     const { map } = this;
     const { status } = this.store;
-    if (!map || !status || !status.mission) return;
+    if (!map || !status || !status.mission) {
+      this.buildings.draw(c, view, {});
+      return;
+    }
     const { X, Y, scale } = view;
     const [width, height] = [map.columns * map.tile, map.rows * map.tile];
     c.imageSmoothingEnabled = false;
     c.drawImage(this.image, X(0), Y(height), width * scale, height * scale);
-    map.hazards.forEach((hazard, k) => this.drawOne(c, view, hazard, this.states[k]));
+    map.hazards.forEach((hazard, k) => this.buildings.has(hazard) || this.drawOne(c, view, hazard, this.states[k]));
     c.globalAlpha = 1;
+    this.buildings.draw(c, view, this);
     for (const [name, route] of Object.entries(map.routes)) this.drawRoute(c, view, name, route);
   }
 

@@ -16,6 +16,7 @@ export function showLegends(store) {
   const marks = scene.vehicles.map(({ name, flies }) => mark(flies ? "dot" : "square", colorOfVehicle(store, name), name));
   setSwatches($("legend-vehicles"), marks);
   for (const place of document.querySelectorAll(".legend-rs")) place.hidden = !innerRadius;
+  for (const place of document.querySelectorAll(".building-key")) place.hidden = !scene.space.buildings.length;
   $("legend-goal").hidden = !scene.vehicles.some(({ goals }) => goals.length);
   setSwatches($("chart-legend"), escorts.map(([uav]) => mark("line", colorOfVehicle(store, uav), uav)));
 }

@@ -56,7 +56,8 @@ export function showTiles({ now, vehicles, escorts, geometry, status, truth, sta
     show(row, worst, { unit: text && !several ? `${row.unit} · ${text}` : row.unit, note, bad, which: OF_SEVERAL[row.total], more: [...each, ...unsure] });
   };
   const { text, reasons } = certificateOf(truth);
-  const margins = column(0).map((distance) => (geometry && known(distance) ? geometry.visibility_radius - distance : null));
+  const radius = (k) => (truth && truth.escorts[k] && known(truth.escorts[k].sight_radius) ? truth.escorts[k].sight_radius : geometry.visibility_radius);
+  const margins = column(0).map((distance, k) => (geometry && known(distance) ? radius(k) - distance : null));
   showWorst("distance", column(0));
   showWorst("margin", margins, { text, unsure: reasons });
   $("tile-margin").classList.toggle("unsure", reasons.length > 0);

@@ -226,6 +226,21 @@ def test_both_vehicles_are_reported_with_their_true_state(run):
     assert attitude.yaw == pytest.approx(math.atan2(0.3, -0.4))
 
 
+def test_the_altitude_of_a_uav_is_reported(run):
+    here = a_vehicle((10.0, 12.0), altitude=7.5, climb_rate=0.4)
+    there = a_vehicle((10.0, 10.0))
+    run.gateway.take(a_truth(1.0, here, there, distance=2.0, sight_radius=0.0))
+    arrived = run.station.send()
+    (local,) = select(arrived, "LOCAL_POSITION_NED", UAV)
+    assert (local.z, local.vz) == pytest.approx((-7.5, -0.4))
+    (place,) = select(arrived, "GLOBAL_POSITION_INT", UAV)
+    _, _, altitude = geodetic(Origin(), 10.0, 12.0, 7.5)
+    assert (place.alt, place.relative_alt, place.vz) == (round(altitude * 1e3), 7500, -40)
+    (ground,) = select(arrived, "GLOBAL_POSITION_INT", UGV)
+    assert ground.relative_alt == 0
+    assert "ugv_0 is hidden by a building" in texts(arrived)
+
+
 def test_the_ugv_alone_can_be_followed(run):
     run.gateway.take(truth())
     ask = mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET

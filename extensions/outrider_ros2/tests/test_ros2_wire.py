@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from bus.errors import ScenarioError
+from bus.messages.buildings import Building
 from bus.messages.decision import NotCertified
 from bus.messages.ground import GroundMap
 from bus.messages.links import LinkStatus
@@ -33,7 +34,7 @@ from outrider_ros2.wire import (
 from sim.scenario.loading import load_scenario
 from sim.scene.known import scene_of
 from stamps import seconds_of
-from statuses import a_status, truth_at
+from statuses import a_status, a_truth, a_vehicle, truth_at
 
 NODE = Node(domain=7, zid="8a1f", name="outrider", namespace="/fleet")
 
@@ -127,11 +128,11 @@ def test_an_estimate_carries_its_covariance():
 def test_path_stays_short_and_restarts_with_another_flight():
     track = PathTrack()
     for tick in range(5000):
-        track.add(tick * 0.05, (tick * 0.11, 0.0))
+        track.add(tick * 0.05, (tick * 0.11, 0.0, 0.0))
     assert 250 <= len(track.times) <= 501
-    assert track.positions[0] == (0.0, 0.0)
-    track.add(0.0, (1.0, 1.0))
-    assert track.positions == [(1.0, 1.0)]
+    assert track.positions[0] == (0.0, 0.0, 0.0)
+    track.add(0.0, (1.0, 1.0, 2.0))
+    assert track.positions == [(1.0, 1.0, 2.0)]
 
 
 def test_coverage_is_a_grid_in_percent():
@@ -198,6 +199,38 @@ def test_discs_and_sensors_stay_as_they_are():
     # the sensor's x axis points down in base_link
     assert 2.0 * (rotation.x * rotation.z - rotation.w * rotation.y) == pytest.approx(-1.0)
     assert all(one.frame_locked for one in messages["/discs"].markers)
+
+
+def test_a_uav_with_an_altitude_flies_above_the_ground():
+    town = load_scenario("town")
+    house = Building(polygon=((1.0, 1.0), (3.0, 1.0), (3.0, 2.0)), height=4.0)
+    view = RunView(scene=scene_of(town, (house,)), dt=0.05)
+    uav = a_vehicle((3.0, 4.5), altitude=2.5, climb_rate=0.25, vertical_acceleration=-0.5)
+    there = a_truth(
+        1.0, uav, a_vehicle((5.0, 4.0)), distance=2.0, sight_radius=0.0, detection=(-2.0, 0.5)
+    )
+    found = _by_topic(there, view)
+    pose = found["/uav_0/odom"].pose.pose
+    assert (pose.position.x, pose.position.y, pose.position.z) == (3.0, 4.5, 2.5)
+    assert found["/uav_0/odom"].twist.twist.linear.z == 0.25
+    assert found["/ugv_0/odom"].pose.pose.position.z == 0.0
+    assert found["/uav_0/accel"].accel.linear.z == -0.5
+    assert found["/uav_0/path"].poses[-1].pose.position.z == 2.5
+    assert found["/uav_0/detection"].point.z == -2.5  # on the ground
+    heights = {one.child_frame_id: one.transform.translation.z for one in found["/tf"].transforms}
+    assert heights == {"uav_0/base_link": 2.5, "ugv_0/base_link": 0.0}
+    marks = {one.ns: one for one in found["/sight"].markers}
+    line = marks["uav_0/line of sight"]
+    assert [point.z for point in line.points] == [2.5, 0.0]
+    assert line.color.r > line.color.g  # a building hides the UGV
+    reach = 2.5 * math.tan(town.camera.half_angle)
+    ends = [math.dist((point.x, point.y), (3.0, 4.5)) for point in marks["uav_0/r"].points]
+    assert ends == pytest.approx([reach] * len(ends))
+    still = _by_topic(None, view)
+    assert {one.ns for one in still["/discs"].markers}.isdisjoint({"uav_0/r", "ugv_0/r_v"})
+    (building,) = still["/buildings"].markers
+    assert {point.z for point in building.points} == {0.0, 4.0}
+    assert len(building.points) == 3 * (2 * 3 + 1)  # walls of two triangles, and the roof
 
 
 def test_topics_are_unique_and_vehicle_topics_have_their_prefix():

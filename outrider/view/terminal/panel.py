@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from rich.text import Text
 
-from bus.messages.telemetry import EscortTruth, Status, VehicleStatus
+from bus.messages.telemetry import EscortTruth, Status, VehicleStatus, VehicleTruth
 from bus.registry import TELEOP
 from outrider.view.operator import SILENCE
 from outrider.view.terminal.palette import ALARM, EDGE, FAINT, GOOD, INK, LIMIT, UAV, UGV
@@ -136,16 +136,28 @@ def _distance(text: Text, view: DriveView, escort: EscortTruth | None) -> None:
     geometry = view.status.geometry if view.status is not None else None
     distance = escort.distance if escort is not None else None
     r_v = geometry.visibility_radius if geometry is not None else None
+    sight = escort.sight_radius if escort is not None else None
+    r_v = r_v if sight is None else sight
     r_s = geometry.switching_radius if geometry is not None else None
     color, margin = INK, "-"
     if distance is not None and r_v is not None:
-        color, margin = _severity(distance, r_v, r_s), f"{r_v - distance:+.2f} m"
+        color = _severity(distance, r_v, r_s)
+        margin = "behind a building" if r_v == 0.0 else f"{r_v - distance:+.2f} m"
     name = f"distance {escort.uav}" if escort is not None else "distance"
     _row(text, name, "-" if distance is None else f"{distance:.2f} m", color, bold=True)
     text.append_text(_gauge(distance, r_v, r_s, color))
-    limit = "" if r_v is None else f" = {r_v:g} m"
+    limit = f" = {r_v:.4g} m" if r_v else ""
     _row(text, f"margin to r_v{limit}", margin, color, bold=True)
+    if view.truth is not None and escort is not None:
+        _altitude(text, view.truth.vehicles[escort.uav])
     text.append("\n")
+
+
+def _altitude(text: Text, uav: VehicleTruth) -> None:
+    """Add the altitude of a UAV, if it has one."""
+    if uav.altitude is not None:
+        climb = f" {uav.climb_rate:+.2f} m/s" if uav.climb_rate else ""
+        _row(text, "altitude", f"{uav.altitude:.2f} m{climb}", bold=True)
 
 
 def _severity(distance: float, r_v: float, r_s: float | None) -> str:
@@ -156,7 +168,7 @@ def _severity(distance: float, r_v: float, r_s: float | None) -> str:
 
 def _gauge(distance: float | None, r_v: float | None, r_s: float | None, color: str) -> Text:
     """Return the distance as a bar that is full at r_v, with a mark at r_s."""
-    share = 0.0 if distance is None or r_v is None else min(distance / r_v, 1.0)
+    share = 0.0 if distance is None or r_v is None else min(distance / r_v, 1.0) if r_v else 1.0
     eighths = round(share * _INNER * 8)
     full, rest = divmod(eighths, 8)
     bar = ("█" * full + (_EIGHTHS[rest] if rest else "")).ljust(_INNER)

@@ -1,0 +1,122 @@
+"""Parts of a scene that depend on the UAVs' altitudes: radii, hidden ground, and the line of sight."""
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from bus.messages.telemetry import EscortTruth, VehicleTruth
+from sim.models.buildings import building_table
+from sim.models.camera import range_at, visibility_radius_at
+from sim.models.shadows import Occlusion, hidden_cells
+from sim.scene.model import Point, Ring, Scene, Space
+
+
+class Sight(NamedTuple):
+    """Pair of a UAV and its UGV that is closest to losing sight, or has lost it."""
+
+    distance: float
+    """Distance of the two [m]."""
+    radius: float
+    """Distance within which the UGV is visible [m]; 0: a building hides it."""
+
+    @property
+    def lost(self) -> bool:
+        """True if the UGV is out of sight, (5)."""
+        return self.distance >= self.radius
+
+    @property
+    def hidden(self) -> bool:
+        """True if a building hides the UGV."""
+        return self.radius == 0.0
+
+
+def worst_sight(pairs: Iterable[tuple[float, float]]) -> Sight | None:
+    """Return the pair with the smallest margin; None without pairs.
+
+    Args:
+        pairs: Distance of each UAV from its UGV, and the distance within which it sees the UGV [m].
+    """
+    return max(
+        (Sight(*pair) for pair in pairs), key=lambda one: one.distance - one.radius, default=None
+    )
+
+
+def sight_radius(escort: EscortTruth, r_v: float) -> float:
+    """Return the distance within which a UAV sees its UGV [m]; `r_v`: the radius in the plane [m]."""
+    return r_v if escort.sight_radius is None else escort.sight_radius
+
+
+def altitudes_of(vehicles: Mapping[str, VehicleTruth]) -> dict[str, float]:
+    """Return the altitude of each UAV that has one [m]."""
+    return {name: one.altitude for name, one in vehicles.items() if one.altitude is not None}
+
+
+def sight_at(space: Space, ugv: str, r_v: float, altitude: float) -> float:
+    """Return the visibility radius at an altitude [m], where no building hides the UGV.
+
+    Args:
+        space: Camera and markers.
+        ugv: Name of the UGV.
+        r_v: Visibility radius at a great altitude [m].
+        altitude: Altitude of the UAV [m].
+    """
+    if space.camera is None:
+        return r_v
+    tangent = math.tan(space.camera.half_angle)
+    return float(visibility_radius_at(r_v, tangent, space.markers.get(ugv, 0.0), altitude))
+
+
+def range_of(space: Space, reach: float, altitude: float) -> float:
+    """Return the range of the sensor on the ground at an altitude [m]; `reach`: at a great altitude [m]."""
+    if space.camera is None:
+        return reach
+    return float(range_at(reach, math.tan(space.camera.half_angle), altitude))
+
+
+def ring_radius(scene: Scene, ring: Ring, altitudes: Mapping[str, float]) -> float:
+    """Return the radius of a circle with the UAVs at these altitudes [m]; of a UGV's UAVs, the lowest counts."""
+    if ring.symbol == "r" and ring.around in altitudes:
+        return range_of(scene.space, ring.radius, altitudes[ring.around])
+    if ring.symbol != "r_v":
+        return ring.radius
+    uavs = (uav for uav, ugv in scene.escorts if ugv == ring.around and uav in altitudes)
+    radii = (sight_at(scene.space, ring.around, ring.radius, altitudes[uav]) for uav in uavs)
+    return min(radii, default=ring.radius)
+
+
+class HiddenGround:
+    """Ground in the range of the UAVs' sensors that buildings hide from their cameras.
+
+    Args:
+        scene: Scene with buildings.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._tables = building_table([(one.corners, one.height) for one in scene.space.buildings])
+        self._ranges = {ring.around: ring.radius for ring in scene.rings if ring.symbol == "r"}
+
+    def cells(
+        self, places: Mapping[str, Point], altitudes: Mapping[str, float], shape: tuple[int, int]
+    ) -> npt.NDArray[np.bool_]:
+        """Return the cells that are in the range of a UAV and hidden from every UAV that is in range of them.
+
+        Args:
+            places: Position of each vehicle [m].
+            altitudes: Altitude of each UAV [m].
+            shape: Rows and columns of the grid over the scene's area.
+        """
+        cell = self._scene.width / shape[1]
+        hidden, seen = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
+        y, x = np.ogrid[: shape[0], : shape[1]]
+        for uav, z in altitudes.items():
+            (p_x, p_y), reach = places[uav], self._ranges.get(uav, 0.0)
+            radius = range_of(self._scene.space, reach, z)
+            dark = hidden_cells(Occlusion(*self._tables, z), p_x, p_y, radius, cell, shape)
+            disc = np.hypot((x + 0.5) * cell - p_x, (y + 0.5) * cell - p_y) <= radius
+            hidden |= dark
+            seen |= disc & ~dark
+        return hidden & ~seen
