@@ -125,6 +125,21 @@ class World:
         vertical: RecordArray = self.vehicles["vertical"]
         return vertical
 
+    def vertical_truth(self) -> dict[str, dict[str, float]]:
+        """Return the fields of `VehicleTruth` of the vertical motion, by UAV; empty in the plane."""
+        if not self.scenario.has_altitude:
+            return {}
+        rows = self.vertical[self.escorts[:, 0]]
+        names = {
+            "altitude": "altitude",
+            "climb_rate": "rate",
+            "vertical_acceleration": "acceleration",
+        }
+        return {
+            uav.name: {field: float(row[column]) for field, column in names.items()}
+            for uav, row in zip(self.uavs, rows, strict=True)
+        }
+
     @property
     def commands(self) -> FloatArray:
         """Commands executed in the last tick, before the bounds [m/s²]. Shape (vehicles, 2)."""

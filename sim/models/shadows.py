@@ -1,7 +1,7 @@
 r"""Ground that buildings hide from a downward camera, cell by cell.
 
 A building of height H hides a point q of the ground if the segment from q towards the camera p touches the footprint B
-within the share H/z of the way. The hidden points are thus those of B, scaled about p by the factors from 1 to
+within the share H/z of the way. The hidden points are thus the points of B, scaled about p by the factors from 1 to
 $F = z / (z - H)$; F is infinite for a camera that is not above the roof.
 
 Outline of this set: a ray from p enters B through a front edge, at r_1, and leaves it through a back edge, at r_2; the

@@ -1,4 +1,4 @@
-"""Buildings of a run: the scenario's, and those of its fields."""
+"""Buildings of a run: given ones, and random ones of fields."""
 
 from collections.abc import Iterator
 

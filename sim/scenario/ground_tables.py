@@ -45,7 +45,7 @@ class GroundTables(NamedTuple):
     buildings: range
     """Rows of the buildings, which block like hazards of the kind `block`."""
     corners: FloatArray
-    """Corners of the polygons [m]; those of the buildings at random positions are zero. Shape (corners, 2)."""
+    """Corners of the polygons [m]; zero for buildings at random positions. Shape (corners, 2)."""
     tiles: TileArray
     """True states with the given hazards and buildings. Shape (rows, columns)."""
     closed: TileArray
@@ -96,7 +96,7 @@ def ground_tables(scenario: Scenario) -> GroundTables:
 
 
 def world_corners(scenario: Scenario, tables: GroundTables, worlds: int) -> FloatArray:
-    """Return the corners of all worlds: those of the tables, with random buildings of its own for each world."""
+    """Return the corners of all worlds: from the tables, with random buildings of its own for each world."""
     own = first_corner(scenario, tables, 1) - first_corner(scenario, tables, 0)
     return np.concatenate([tables.corners, np.zeros(((worlds - 1) * own, 2))])
 

@@ -11,14 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from bus.messages.base import Line, Name, NonNegative, Positive, Share, Text, Vector
-from bus.messages.buildings import (
-    MOST_BUILDINGS,
-    Altitude,
-    AltitudeLimits,
-    Building,
-    Camera,
-    Height,
-)
+from bus.messages.buildings import MOST_BUILDINGS, Altitude, AltitudeLimits, Building, Camera
 from bus.messages.ground import DEFAULT_SHARE, Hazard
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Area, Estimator, Law, Origin, Region, ScriptStep, Sensor
@@ -181,7 +174,7 @@ class Certificate(Table, frozen=True, kw_only=True):
     """Largest tracking error [m]; default: the bound that follows from wind, position_error and tracking, 0 without a
     disturbance.
     """
-    max_building_height: Height | None = None
+    max_building_height: Positive | None = None
     """Largest height of a building [m]; default: the highest possible one of the scenario."""
 
 
@@ -374,8 +367,8 @@ class Scenario(Table, frozen=True, kw_only=True):
     @property
     def only_known_buildings(self) -> bool:
         """True if the only hazards are buildings, and the vehicles have the map."""
-        random = bool(self.hazard or self.hazard_field)
-        return self.has_buildings and self.buildings.known and not random
+        hazards = self.hazard or self.hazard_field
+        return self.has_buildings and self.buildings.known and not hazards
 
     @property
     def building_clearance(self) -> float:
@@ -398,6 +391,6 @@ def altitude_limits(scenario: Scenario, uav: Uav) -> AltitudeLimits | None:
     """Return a UAV's vertical bounds in the form of a message; None: it flies in the plane."""
     if uav.initial_altitude is None:
         return None
-    given = {name: getattr(uav, name, None) for name in AltitudeLimits.__struct_fields__}
-    known = {name: value for name, value in given.items() if value is not None}
+    given = ((name, getattr(uav, name, None)) for name in AltitudeLimits.__struct_fields__)
+    known = {name: value for name, value in given if value is not None}
     return AltitudeLimits(**known, law=scenario.altitude.law)

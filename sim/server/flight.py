@@ -324,22 +324,6 @@ class Flight:
         if not self._abandoned:
             exchange.publish(self.observations())
 
-    def _heights(self) -> dict[str, dict[str, float]]:
-        """Return the fields of `VehicleTruth` of the vertical motion, of each UAV that has an altitude."""
-        if not self.scenario.has_altitude:
-            return {}
-        rows = self.world.vertical[self.world.escorts[:, 0]]
-        return {
-            uav.name: {"altitude": z, "climb_rate": rate, "vertical_acceleration": u}
-            for uav, z, rate, u in zip(
-                self.world.uavs,
-                rows["altitude"].tolist(),
-                rows["rate"].tolist(),
-                rows["acceleration"].tolist(),
-                strict=True,
-            )
-        }
-
     def truth(self) -> Truth:
         """Return the true state without the coverage grid, for observers."""
         world = self.world
@@ -348,7 +332,7 @@ class Flight:
         self.take_down()
         measures = self.recorder.escorts[world.tick, :, :2].tolist()
         detections = world.detections.tolist()
-        heights = self._heights()
+        heights = world.vertical_truth()
         radii = self.recorder.heights[world.tick, :, 3].tolist()
         return Truth(
             tick=world.tick,
