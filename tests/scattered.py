@@ -13,8 +13,8 @@ from bus.keys import CONTROL
 from bus.session import Session
 from processes import fly_to, free_port, started, wait_until
 
-SECONDS = 100.0
-"""Simulated time of a run that is disturbed: 2,000 ticks, about a second of wall time."""
+SECONDS = 60.0
+"""Simulated time of a run that is disturbed: 1,200 ticks."""
 
 
 SECRET = bytes(range(16)).hex()

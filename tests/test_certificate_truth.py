@@ -20,23 +20,14 @@ LATE = ("links.commands.delay=0.5", "command_timeout=1.5", "certificate.max_meas
 PERFECT = ("detections.noise=0.0", "detections.dropout=0.0")
 NARROW, JAMMED = (f"links.commands={{profile = '{name}'}}" for name in ("narrowband", "jammed"))
 SLOW = ("command_timeout=2.0", "certificate.max_measurement_age=6.0")
-LATER, DECLARED = (
-    ("command_timeout=2.0", "certificate.max_measurement_age=3.0"),
-    "certificate.max_command_delay=0.5",
-)
+DECLARED = "certificate.max_command_delay=0.5"
 
 BROKEN = {
     "regained with commands under way": ((*PERFECT, *LATE, BLACKOUTS), 7),
-    "later than declared": ((*PERFECT, *LATE, "certificate.max_command_delay=0.45"), 7),
     "narrowband": ((NARROW, *SLOW), 8),
     "jammed": ((JAMMED, *SLOW), 9),
     "commands lost": ((*LATE, "links.commands.loss=0.05"), 7),
     "jitter as declared": ((*PERFECT, *LATE[:2], "links.commands.jitter=0.1", DECLARED), 11),
-    "few commands lost": (
-        (*PERFECT, "links.commands.delay=1.0", "links.commands.loss=0.02", *LATER),
-        7,
-    ),
-    "narrowband without noise": ((*PERFECT, NARROW, *SLOW), 7),
     "jammed without noise": ((*PERFECT, JAMMED, *SLOW), 11),
 }
 """Networks that break the declared command delay or measurement age, and a seed.

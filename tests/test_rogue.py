@@ -40,7 +40,7 @@ SCENARIO = load_scenario(
 )
 SEED = 1_234_567
 """The seed of the run: within the search, and not so large that the search takes long."""
-SEEDS = 2**24
+SEEDS = 2**21
 """Number of seeds that a search tries, that of the run among them."""
 SECRET = bytes(range(100, 116)).hex()
 ROW = 0

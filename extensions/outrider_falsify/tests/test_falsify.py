@@ -268,9 +268,9 @@ def test_the_budget_is_kept() -> None:
     assert found("linear", 37, changes={"duration": 2.0}).runs == 37
     began = time.monotonic()
     result = found(
-        "linear", None, minutes=0.1
+        "linear", None, minutes=0.03
     )  # the workers also need time to start on a busy machine
-    assert 5.0 < time.monotonic() - began < 40.0
+    assert 1.5 < time.monotonic() - began < 40.0
     assert result.runs > 0
 
 
