@@ -31,7 +31,7 @@ def _spread(share: float) -> float:
         *((distance, 0.0) for distance in (0.0, 2.0, 4.749999)),
         *((distance * (1.0 + 1e-12), 0.0) for distance in (R, 5.000001, 80.0)),
         *((distance, share) for distance in (4.75, 4.8, 4.875, 4.95) for share in (0.0, 0.3)),
-        *((2.0, share) for share in (0.05, 0.5, 1.0)),
+        *((distance, share) for distance in (2.0, 4.6) for share in (0.05, 0.5, 1.0)),
     ],
 )
 def test_detection_chance_falls_from_one_at_r_v_to_zero_at_r(distance, dropout):

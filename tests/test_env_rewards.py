@@ -127,6 +127,18 @@ def test_continued_loss_of_sight_is_charged_once_then_by_tick():
     assert all(-10.0 < reward <= -2.0 * 0.05 for reward in rewards[-lost + 1 :])
 
 
+def test_sight_is_lost_from_the_visibility_radius_on():
+    env = parallel_env(scenario(duration=30.0), end_on_sight_lost=False)
+    env.reset(seed=1)
+    counted = 0
+    for _ in range(600):
+        env.step({"uav_0": OUTWARD, "ugv_0": np.zeros(2)})
+        metrics = env.metrics()["uav_0"]
+        counted += metrics["distance"] >= 4.75
+        assert metrics["visibility_violations"] == counted
+    assert counted > 100
+
+
 def test_one_lost_ugv_ends_the_episode_and_charges_its_uav():
     _, rewards, terminations, *_ = flown(parallel_env(TWO), uav_1=OUTWARD)[-1]
     assert set(terminations.values()) == {True}

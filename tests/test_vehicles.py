@@ -18,6 +18,7 @@ from sim.models.vehicles import (
     speed_to_stop_within,
     step_vehicle,
     stopping_distance,
+    within_walls,
 )
 
 ONE = 1.0 + 4.0 * np.finfo(float).eps  # possible rounding error of a norm
@@ -149,3 +150,11 @@ def test_the_way_to_a_stop_is_the_square_of_the_speed() -> None:
 def test_a_goal_is_reached_nearer_than_the_tolerance() -> None:
     assert goal_reached(1.0, 2.0, 1.03, 2.0, 0.05)
     assert not goal_reached(1.0, 2.0, 1.0, 2.5, 0.5)
+
+
+def test_walls_stop_a_vehicle_that_flies_against_them() -> None:
+    assert within_walls(-0.1, -0.5, 10.0) == (0.0, 0.0)
+    assert within_walls(10.2, 0.4, 10.0) == (10.0, 0.0)
+    assert within_walls(-0.1, 0.3, 10.0) == (0.0, 0.3)  # it leaves the wall
+    assert within_walls(4.0, -0.5, 10.0) == (4.0, -0.5)
+    assert within_walls(-3.0, -0.5, math.inf) == (-3.0, -0.5)
