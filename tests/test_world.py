@@ -10,6 +10,7 @@ from bus.messages.scenario import Area, Region, Sensor
 from bus.registry import SENSORS
 from flights import DESIRED, DT, HERE, R_O, R_V, U_A, U_G, V_A, V_G, R, escort, tracks
 from outrider.running.flying import fly
+from sim.scenario.loading import load_scenario
 from sim.scenario.types import Coverage, Detections, Scenario, Uav, Ugv
 from sim.server.flight import Flight
 from sim.world import World
@@ -195,3 +196,19 @@ def test_two_uavs_draw_noise_of_their_own() -> None:
         for k, (a, g) in enumerate(((0, 3), (1, 2)))
     ]
     assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.1
+
+
+def test_vehicles_brake_when_their_commands_stop() -> None:
+    """The last command stays in effect for `command_timeout`; then both vehicles come to rest."""
+    scenario = load_scenario("escort", overrides=["links.commands.delay=0"])
+    world, held = World(scenario, 1), round(scenario.command_timeout / scenario.dt)
+    for _ in range(20):
+        for vehicle in range(2):
+            world.send(vehicle, world.tick, (0.05, 0.0))
+        world.advance()
+    for _ in range(held):
+        world.advance()
+        assert (world.commands[:, 0] == 0.05).all()
+    for _ in range(100):
+        world.advance()
+    assert (world.velocity == 0.0).all()
