@@ -11,12 +11,14 @@ from bus.errors import ScenarioError
 from outrider.envs.parallel import parallel_env
 from outrider.running.altitude_assumptions import certified_from
 from outrider.running.assumptions import assumption_warnings, how_certifiable
+from outrider.running.flying import fly
 from processes import flown_both_ways
 from sim.engine.briefing import uav_briefing
 from sim.models.altitude import level_off, levelling_height, lowest_ahead, step_altitude
 from sim.models.buildings import building_distance, building_table, line_of_sight
 from sim.models.safety import visible_radius
 from sim.scenario.loading import load_scenario
+from sim.server.flight import Flight
 
 DT, U, RATE = 0.05, 0.8, 1.5
 LIMITS = (0.5, 100.0, RATE, U)
@@ -140,3 +142,25 @@ def test_town_flies_one_trajectory_over_three_processes() -> None:
 def test_environments_refuse_an_altitude() -> None:
     with pytest.raises(ScenarioError, match=r"uav.0.initial_altitude = 14: environments fly"):
         parallel_env("town")
+
+
+def test_a_change_of_driver_that_ends_the_clearance_is_reported() -> None:
+    notices: list[str] = []
+    flight = Flight(load_scenario("town"), 7, on_notice=notices.append)
+    flight.assign_driver("ugv_0", "navigate")
+    assert notices == []
+    flight.assign_driver("ugv_0", "wander")
+    (line,) = notices
+    assert "ugv_0: the driver wander keeps no distance from buildings" in line
+
+
+def test_the_hash_of_a_trajectory_covers_the_altitude() -> None:
+    """Without noise and buildings, the law `tracking` flies the same way at both altitudes."""
+    changes = ["law.name=tracking", "detections.noise=0", "duration=1", "building_field=[]"]
+    flights = [
+        fly(load_scenario("town", overrides=[*changes, f"uav.0.initial_altitude={z}"]), 7)[0]
+        for z in (14.0, 15.0)
+    ]
+    low, high = (flight.recorder.states[:-1] for flight in flights)
+    assert np.array_equal(low, high)
+    assert flights[0].recorder.sha256() != flights[1].recorder.sha256()

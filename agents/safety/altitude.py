@@ -121,8 +121,9 @@ def decide_in_space(
 ) -> None:
     """Decide on the nominal accelerations of a UAV with an altitude; as `decide` otherwise.
 
-    The nominal accelerations are applied if a plan exists after them. Otherwise the UAV levels off, and the horizontal
-    decision is that of `decide`. Below every floor it climbs, and does its best.
+    The nominal accelerations are applied if a plan exists after them. Otherwise the UAV levels off, and
+    `choose_control` decides on its horizontal acceleration. Below every floor it climbs, and flies to the newest
+    measurement.
 
     Args:
         levels: `SafetyBounds` by increasing floor. Shape (levels,).

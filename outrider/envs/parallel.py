@@ -205,13 +205,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     def _carry(self, world: World, name: str, command: UavCommand | UgvCommand) -> None:
         """Apply the other parts of a command: backup trajectories, a claim and a route."""
         vehicle = world.names.index(name)
-        world.send(
-            vehicle,
-            world.tick,
-            command.acceleration,
-            command.backup_trajectories,
-            getattr(command, "vertical_acceleration", 0.0),
-        )
+        world.send(vehicle, world.tick, command.acceleration, command.backup_trajectories)
         if isinstance(command, UgvCommand):
             world.record_claim(vehicle, command.report)
             if command.route is not None and self._view is not None:

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import msgspec
+
 from bus.messages.base import or_none
 from bus.messages.buildings import Building
 from bus.messages.ground import UavGround, UgvGround
@@ -42,7 +44,7 @@ def _error(scenario: Scenario, uav: Uav) -> float | None:
 def detector_noise(scenario: Scenario, uav: Uav) -> float:
     """Return the standard deviation of a detection per axis, by which the UAV's estimator weighs it [m].
 
-    With an altitude, that of a UGV below the UAV at its initial altitude.
+    With an altitude, the value for a UGV below the UAV at its initial altitude.
     """
     noise, limits = scenario.detections.noise, altitude_limits(scenario, uav)
     if limits is None:
@@ -58,6 +60,18 @@ def guaranteed_clearance(scenario: Scenario, ugv: Ugv) -> float:
     """
     cautious = ugv.driver == "navigate" and ugv.caution == CAUTIONS[0]
     return ugv.building_clearance if cautious and scenario.buildings.known else 0.0
+
+
+def clearance_notice(scenario: Scenario, name: str, driver: str) -> str:
+    """Return a warning if a new driver of a UGV ends the clearance that certificates assume; else empty."""
+    ugv = next(one for one in scenario.ugv if one.name == name)
+    assumed = guaranteed_clearance(scenario, ugv)
+    if assumed <= guaranteed_clearance(scenario, msgspec.structs.replace(ugv, driver=driver)):
+        return ""
+    return (
+        f"{name}: the driver {driver} keeps no distance from buildings, but the UAV's certificates assume "
+        f"{assumed:g} m; see docs/explanation/guarantee.md"
+    )
 
 
 def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:

@@ -40,7 +40,7 @@ def cameras_of(scenario: Scenario) -> RecordArray | None:
 
 
 def town_of(scenario: Scenario, worlds: int) -> TownState | None:
-    """Return the given buildings of a scenario in each world, with room for those of fields; None: no buildings."""
+    """Return the given buildings of a scenario in each world, with room for random ones; None: no buildings."""
     if not scenario.has_buildings or not scenario.has_altitude:
         return None
     rows, corners = building_table([(one.corners, one.height) for one in scenario.building])

@@ -116,7 +116,7 @@ class Frames:
         altitudes: Mapping[str, float] = _PLANE,
         hidden: Collection[str] = (),
     ) -> npt.NDArray[np.uint8]:
-        """Return the picture of a moment; arguments that are not explained are those of `Map.show`.
+        """Return the picture of a moment; other arguments as in `Map.show`.
 
         Args:
             tracks: Path of each vehicle so far [m].

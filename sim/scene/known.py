@@ -29,7 +29,7 @@ def geometry_of(scenario: Scenario, buildings: tuple[Building, ...] = ()) -> Geo
 
     Args:
         scenario: Scenario of the run.
-        buildings: Buildings of the run, with those of its fields.
+        buildings: All buildings of the run, given and random ones.
     """
     radii = (switching_radius(scenario, uav, ugv) for _, uav, ugv in escorts(scenario))
     radius = next(radii, math.inf)
@@ -63,7 +63,7 @@ def _markers(scenario: Scenario) -> dict[str, float]:
 
 
 def scene_of(scenario: Scenario, buildings: tuple[Building, ...] = ()) -> Scene:
-    """Return the scene of a scenario; `buildings`: those of the run."""
+    """Return the scene of a scenario; `buildings`: all buildings of the run."""
     ugvs = sorted(ugv.name for ugv in scenario.ugv)
     return assembled(
         scenario.title or scenario.name,

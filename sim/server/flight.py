@@ -25,6 +25,7 @@ from bus.messages.vehicle import (
     UgvCommand,
 )
 from sim.compiling.compile import FloatArray
+from sim.engine.briefing import clearance_notice
 from sim.scenario.types import NO_UAV, Scenario, Uav
 from sim.server.answers import Answers
 from sim.server.perception import News, Perception, UavPerception, UgvPerception
@@ -163,6 +164,8 @@ class Flight:
     def assign_driver(self, ugv: str, driver: str) -> None:
         """Change the driver of a UGV from the next observation on."""
         self.perceptions[ugv].news_now().driver = self.drivers[ugv] = driver
+        if notice := clearance_notice(self.scenario, ugv, driver):
+            self.on_notice(notice)
 
     def order(self, law: Law) -> None:
         """Change the control law of the UAVs from the next observation on."""

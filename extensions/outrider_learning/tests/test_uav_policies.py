@@ -167,7 +167,7 @@ def test_each_of_several_uavs_has_a_memory_of_its_own() -> None:
 
 
 class Linear:
-    """A model like those of Stable-Baselines3."""
+    """Model with the interface of Stable-Baselines3."""
 
     def __init__(self, space: spaces.Space[Any]) -> None:
         self.observation_space = space

@@ -1,6 +1,6 @@
 """Bags of `outrider ros2 export` and `outrider record --format ros2` with third-party readers.
 
-rosbags and mcap-ros2-support live in an environment of their own, `.venv-bags`; the real rclpy lives in that of
+rosbags and mcap-ros2-support are installed into `.venv-bags`, and the real rclpy into the environment of
 ros2_nodes.py, if Python 3.11 is available: make bridge-test ARGS=bags
 """
 

@@ -95,7 +95,7 @@ class Run:
         return self._stack.enter_context(zenoh.open(config))
 
     def settings(self, party: str) -> dict[str, str]:
-        """Return the environment of a foreign node: that of rmw_zenoh plus the domain."""
+        """Return the environment variables of a foreign node: for rmw_zenoh, and the domain."""
         known = read_credential(self.key(party))
         own = {"user": known.name, "password": known.password}
         config = {
