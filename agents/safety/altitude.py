@@ -9,8 +9,6 @@ is above the floor, it sees at least as far as the check assumes.
 Altitudes above the ground [m], climb rates [m/s], vertical accelerations [m/s²].
 """
 
-from typing import NamedTuple
-
 from agents.safety.decision import (
     BACKUP,
     BEST_EFFORT,
@@ -24,7 +22,14 @@ from agents.safety.decision import (
 )
 from agents.safety.discs import known_discs, newest_disc
 from agents.safety.memory import FilterMemory
-from agents.safety.pending import COMMITTED, PREDICTED, PendingCommands
+from agents.safety.pending import (
+    COMMITTED,
+    LOST,
+    PREDICTED,
+    STARTED,
+    Height,
+    PendingCommands,
+)
 from agents.safety.trajectories import end_disc
 from bus.messages.decision import NotCertified
 from sim.compiling.compile import compiled
@@ -42,13 +47,6 @@ _SLACK = 1e-6
 Both are far above the effect of rounding. The bounds of a floor hold from `FLOOR_MARGIN` below it.
 """
 FLOOR_MARGIN = 3.0 * _SLACK
-
-
-class Height(NamedTuple):
-    """Altitude [m] and climb rate [m/s] at a tick."""
-
-    z: float
-    rate: float
 
 
 @compiled
@@ -69,7 +67,10 @@ def _step(own: VerticalMotion, here: Height, command: float, dt: float) -> Heigh
 
 
 @compiled
-def _level_step(own: VerticalMotion, here: Height, dt: float) -> Height:
+def _plan_step(own: VerticalMotion, here: Height, plan: RecordArray, dt: float) -> Height:
+    """Return the height after a tick of the plan in a table of one row, at its age."""
+    if plan[0].begins >= 0 and plan[0].age == 0:
+        return _step(own, here, plan[0].vertical_acceleration, dt)
     return _step(own, here, level_off(here.rate, own.max_acceleration, dt), dt)
 
 
@@ -87,25 +88,34 @@ def predict_height(
     ahead[0] = pending.committed[COMMITTED]
     for k in range(delay_ticks):
         follow_on(pending.sent, ahead, tick + k)
-        if ahead[0].begins >= 0 and ahead[0].age == 0:
-            here = _step(own, here, ahead[0].vertical_acceleration, dt)
-        else:
-            here = _level_step(own, here, dt)
+        here = _plan_step(own, here, ahead, dt)
         ahead[0].age += 1
         lowest = min(lowest, here.z)
     return here, lowest
 
 
 @compiled
+def _expect_height(pending: PendingCommands, own: VerticalMotion, tick: int, dt: float) -> None:
+    """Record the expected heights at the next tick, as `send_plan` does for the motion."""
+    ahead = pending.committed[PREDICTED : PREDICTED + 1]
+    for k in (LOST, STARTED):
+        ahead[0] = pending.committed[COMMITTED]
+        if k == STARTED:
+            follow_on(pending.sent, ahead, tick)
+        there = _plan_step(own, Height(own.altitude, own.rate), ahead, dt)
+        pending.expected[k].z, pending.expected[k].rate = there.z, there.rate
+
+
+@compiled
 def _lowest_after(own: VerticalMotion, here: Height, command: float, dt: float) -> float:
     """Return the lowest altitude of a plan whose first tick has this vertical acceleration [m].
 
-    A descent that turns into a climb within a tick falls below both ends by at most u dt²/8.
+    A descent at rate v that turns into a climb within a tick, with the acceleration a, falls v²/(2a) before it turns.
     """
     then = _step(own, here, command, dt)
     within = min(here.z, then.z)
     if here.rate < 0.0 < then.rate:
-        within -= 0.125 * own.max_acceleration * dt * dt
+        within = here.z - 0.5 * here.rate * here.rate * dt / (then.rate - here.rate)
     return min(within, lowest_ahead(then.z, then.rate, own.max_acceleration, dt))
 
 
@@ -137,7 +147,9 @@ def decide_in_space(
     dt, delay = levels[0].dt, levels[0].delay_ticks
     plan, discs = memory.plan, memory.discs
     now = level_of(levels, lowest_ahead(own.altitude, own.rate, own.max_acceleration, dt))
-    beginning = begin_decision(levels[max(now, 0)], memory, tick, here, committed)
+    beginning = begin_decision(
+        levels[max(now, 0)], memory, tick, here, Height(own.altitude, own.rate), committed
+    )
     floor = memory.pending.committed[COMMITTED].floor
     ahead, lowest = predict_height(memory.pending, own, tick, delay, dt)
     follows = (
@@ -167,6 +179,7 @@ def decide_in_space(
             u_z = own.max_acceleration
     end_decision(levels[max(level, 0)], memory, tick, here, beginning, (u_x, u_y), source)
     memory.pending.sent[begins % memory.pending.sent.shape[0]].vertical_acceleration = u_z
+    _expect_height(memory.pending, own, tick, dt)
     decision = memory.decision[0]
     decision.vertical_acceleration = u_z
     if decision.reason == CERTIFIED and not follows:

@@ -21,6 +21,8 @@ from agents.safety.discs import (
 )
 from agents.safety.memory import FilterMemory
 from agents.safety.pending import (
+    IN_PLANE,
+    Height,
     check_rest,
     is_expected,
     predict,
@@ -170,7 +172,12 @@ def choose_control(
 
 @compiled
 def _executed_plan(
-    bounds: SafetyBounds, memory: FilterMemory, tick: int, here: Motion, committed: int
+    bounds: SafetyBounds,
+    memory: FilterMemory,
+    tick: int,
+    here: Motion,
+    height: Height,
+    committed: int,
 ) -> int:
     """Return the plan executed in the previous tick; NO_MOTION: none.
 
@@ -182,7 +189,7 @@ def _executed_plan(
     pending, last = memory.pending, tick - 1
     begins = pending.sent[last % pending.sent.shape[0]].begins
     answered = last >= 0 and memory.flags[0].tick == last and begins == last
-    return last if answered and is_expected(pending, tick, here, last) else committed
+    return last if answered and is_expected(pending, tick, here, height, last) else committed
 
 
 @compiled
@@ -232,16 +239,24 @@ class Beginning(NamedTuple):
 
 @compiled
 def begin_decision(
-    bounds: SafetyBounds, memory: FilterMemory, tick: int, here: Motion, committed: int
+    bounds: SafetyBounds,
+    memory: FilterMemory,
+    tick: int,
+    here: Motion,
+    height: Height,
+    committed: int,
 ) -> Beginning:
-    """Record the observation of this tick, and predict the UAV's state. Arguments as in `decide`."""
+    """Record the observation of this tick, and predict the UAV's state.
+
+    Arguments as in `decide`; `height` is IN_PLANE for a UAV without an altitude.
+    """
     flags, pending, plan, discs = memory.flags[0], memory.pending, memory.plan, memory.discs
     decision = memory.decision[0]
     decision.certified_distance = certified_distance(bounds, discs, tick, here.p_x, here.p_y)
-    committed = _executed_plan(bounds, memory, tick, here, committed)
-    expected = receive_observation(pending, tick, here, committed, flags.tick)
+    committed = _executed_plan(bounds, memory, tick, here, height, committed)
+    expected = receive_observation(pending, tick, here, height, committed, flags.tick)
     flags.from_start = 1 if tick == 0 else flags.from_start
-    if flags.from_start == 1:
+    if flags.from_start == 1 and height.rate == 0.0:
         check_rest(bounds, pending, discs, plan, tick, here)
     ahead, checked, wait = predict(bounds, pending, tick, here)
     update_plan(pending, plan)
@@ -295,7 +310,7 @@ def decide(
         u_x, u_y: Nominal acceleration [m/s²].
         committed: First tick of the plan executed in the previous tick; NO_MOTION: none.
     """
-    beginning = begin_decision(bounds, memory, tick, here, committed)
+    beginning = begin_decision(bounds, memory, tick, here, IN_PLANE, committed)
     begins = tick + bounds.delay_ticks
     u_x, u_y, source = choose_control(
         bounds, memory.discs, memory.plan, begins, beginning.ahead, u_x, u_y

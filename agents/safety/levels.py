@@ -94,11 +94,11 @@ def _levels(briefing: UavBriefing) -> tuple[SafetyBounds, ...]:
     found: list[SafetyBounds] = []
     for z in dict.fromkeys(np.linspace(low, float(full), _LEVELS).tolist()):
         bounds = bounds_at(briefing, z)
-        if found and found[-1].handover_radius > bounds.handover_radius:
+        if found and not bounds.handover_radius >= found[-1].handover_radius:  # smaller, or NaN
             # found in steps: a hand-over radius also holds for every larger visibility radius
             radius = found[-1].handover_radius
             reach = float(handover_bound(bounds, radius))
-            bounds = bounds._replace(handover_radius=radius, handover_bound=reach)
+            bounds = bounds._replace(handover_radius=radius, handover_bound=reach, valid=True)
         found.append(bounds)
     return tuple(found)
 

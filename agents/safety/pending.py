@@ -35,8 +35,30 @@ from sim.models.vehicles import Motion
 COMMITTED, PREDICTED = 0, 1
 """Rows of `PendingCommands.committed`: committed now, and at the end of the predicted trajectory."""
 
-_STARTED, _LOST = 0, 1
+STARTED, LOST = 0, 1
 """Rows of `PendingCommands.expected`: the next state if the plan of this tick begins, and if it does not."""
+
+
+class Height(NamedTuple):
+    """Altitude [m] and climb rate [m/s] at a tick."""
+
+    z: float
+    rate: float
+
+
+IN_PLANE = Height(0.0, 0.0)
+"""Height of a UAV that flies in the plane."""
+
+
+class ExpectedState(NamedTuple):
+    """State of the UAV at the next tick: position [m], velocity [m/s], altitude [m] and climb rate [m/s]."""
+
+    p_x: float
+    p_y: float
+    v_x: float
+    v_y: float
+    z: float
+    rate: float
 
 
 class PendingCommands(NamedTuple):
@@ -47,7 +69,7 @@ class PendingCommands(NamedTuple):
     committed: RecordArray
     """`CheckedTrajectory`: committed now, and at the end of the predicted trajectory. Shape (2,)."""
     expected: RecordArray
-    """Expected `Motion` of the UAV at the next tick. Shape (2,)."""
+    """`ExpectedState` of the UAV at the next tick. Shape (2,)."""
 
 
 def pending_commands(delay_ticks: int) -> PendingCommands:
@@ -59,22 +81,16 @@ def pending_commands(delay_ticks: int) -> PendingCommands:
     return PendingCommands(
         sent=no_motions(delay_ticks + 2),
         committed=no_motions(2),
-        expected=np.zeros(2, dtype=record_type(Motion)),
+        expected=np.zeros(2, dtype=record_type(ExpectedState)),
     )
 
 
 @compiled
-def motion_in(rows: RecordArray, k: int) -> Motion:
-    """Return the state of the UAV in a row."""
-    row = rows[k]
-    return Motion(row.p_x, row.p_y, row.v_x, row.v_y)
-
-
-@compiled
-def set_motion(rows: RecordArray, k: int, here: Motion) -> None:
-    """Write a state of the UAV into a row."""
-    row = rows[k]
-    row.p_x, row.p_y, row.v_x, row.v_y = here.p_x, here.p_y, here.v_x, here.v_y
+def expect(pending: PendingCommands, k: int, there: Motion, height: Height) -> None:
+    """Write an expected state of the UAV."""
+    due = pending.expected[k]
+    due.p_x, due.p_y, due.v_x, due.v_y = there.p_x, there.p_y, there.v_x, there.v_y
+    due.z, due.rate = height.z, height.rate
 
 
 @compiled
@@ -83,7 +99,7 @@ def reset_pending(pending: PendingCommands) -> None:
     clear_motions(pending.sent)
     clear_motions(pending.committed)
     for k in range(pending.expected.shape[0]):
-        set_motion(pending.expected, k, Motion(0.0, 0.0, 0.0, 0.0))
+        expect(pending, k, Motion(0.0, 0.0, 0.0, 0.0), IN_PLANE)
 
 
 @compiled
@@ -109,22 +125,30 @@ def _receive_flown(pending: PendingCommands, tick: int, committed: int) -> None:
 
 
 @compiled
-def off_by(here: Motion, due: Motion) -> float:
+def _off_by(here: Motion, height: Height, due: ExpectedState) -> float:
     """Return the largest deviation of a state from the expected one [m, m/s]."""
     off = max(abs(here.p_x - due.p_x), abs(here.p_y - due.p_y))
-    return max(off, abs(here.v_x - due.v_x), abs(here.v_y - due.v_y))
+    off = max(off, abs(here.v_x - due.v_x), abs(here.v_y - due.v_y))
+    return max(off, abs(height.z - due.z), abs(height.rate - due.rate))
 
 
 @compiled
-def is_expected(pending: PendingCommands, tick: int, here: Motion, committed: int) -> bool:
+def is_expected(
+    pending: PendingCommands, tick: int, here: Motion, height: Height, committed: int
+) -> bool:
     """Return whether the UAV is in the state that the reported trajectory implies."""
-    due = motion_in(pending.expected, _STARTED if committed == tick - 1 else _LOST)
-    return bool(off_by(here, due) <= AS_EXPECTED)
+    due = pending.expected[STARTED if committed == tick - 1 else LOST]
+    return bool(_off_by(here, height, due) <= AS_EXPECTED)
 
 
 @compiled
 def receive_observation(
-    pending: PendingCommands, tick: int, here: Motion, committed: int, last_tick: int
+    pending: PendingCommands,
+    tick: int,
+    here: Motion,
+    height: Height,
+    committed: int,
+    last_tick: int,
 ) -> bool:
     """Record the committed trajectory and return whether the UAV is in the expected state.
 
@@ -132,11 +156,13 @@ def receive_observation(
         pending: Changed in place.
         tick: Current tick.
         here: Current state of the UAV.
+        height: Its altitude and climb rate; IN_PLANE if it has none.
         committed: First tick of the plan executed in the previous tick; NO_MOTION: none.
         last_tick: Last tick that this pilot answered; negative: none yet.
     """
     first = last_tick < 0
-    expected = first or (last_tick == tick - 1 and is_expected(pending, tick, here, committed))
+    answered = last_tick == tick - 1
+    expected = first or (answered and is_expected(pending, tick, here, height, committed))
     if not expected:
         mark_unchecked(pending)
     _receive_flown(pending, tick, committed)
@@ -270,13 +296,13 @@ def send_plan(
     row.acceleration[0], row.acceleration[1] = first
     row.age, row.arrived, row.plain = 0, 0, 0
     ahead = pending.committed[PREDICTED : PREDICTED + 1]
-    for k in (_LOST, _STARTED):
+    for k in (LOST, STARTED):
         ahead[0] = pending.committed[COMMITTED]
-        if k == _STARTED:
+        if k == STARTED:
             follow_on(pending.sent, ahead, tick)
         w_x, w_y = motion_command(ahead[0], here.v_x, here.v_y, bounds.u_a, bounds.dt)
         there, _ = step_in_area(bounds, here, w_x, w_y)
-        set_motion(pending.expected, k, there)
+        expect(pending, k, there, IN_PLANE)
 
 
 @compiled

@@ -174,6 +174,7 @@ def _count(run: Run, view: View, known: Known, order: Order) -> None:
     sums, counts, result = run.scratch.sums[0], run.scratch.counts[0], run.results[0]
     sums.distance += view.distance
     sums.overridden += order.acted
+    result.lost += view.distance >= sight_radius(run.heights, run.state, run.conditions.r_v)
     counts.certified_before = counts.certified_before and order.reported
     if known.new >= 0 or sums.seen > 0:
         sums.seen += 1
@@ -316,8 +317,7 @@ def attack(
         first: Number of the first run.
         runs: Number of runs.
         duration: Duration of each run [s].
-        flight: Scenario of a UAV with an altitude, from `outrider_falsify.heights.at_altitude`, and its bounds; None:
-            it flies in the plane.
+        flight: UAV with an altitude, from `outrider_falsify.heights.over_town`; None: it flies in the plane.
 
     Returns:
         `AttackResult` of each run. Shape (runs,).

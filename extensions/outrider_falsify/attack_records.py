@@ -37,6 +37,8 @@ class AttackResult(NamedTuple):
     """Largest age of the newest detection [s]."""
     certified_lost: float
     """Certified ticks with a distance of r_v or more at the tick or, if A5' holds, before the next."""
+    lost: float
+    """Ticks out of sight."""
     broken: float
     """Ticks at which the certificate is lost although its assumptions hold, as the simulator counts them."""
     max_certified: float

@@ -17,6 +17,7 @@ from outrider_falsify.conditions import (
     declared,
     spec_radius,
 )
+from outrider_falsify.heights import FLIGHTS, certifiable, over_town
 from outrider_falsify.pool import Workers
 from outrider_falsify.search import Budget
 from sim.models.safety import SafetyBounds
@@ -48,6 +49,8 @@ class Attacked:
     bounds: dict[str, float]
     """Limits of the vehicles and tick length that differ from the paper's."""
     conditions: Conditions
+    flight: int | None
+    """Row of `FLIGHTS`; None: in the plane."""
     duration: float
     """Duration of each run [s]."""
     runs: int
@@ -56,7 +59,7 @@ class Attacked:
     broken: int
     """Runs that lost the certificate although its assumptions held."""
     lost: int
-    """Runs with a distance of r_v or more."""
+    """Runs with a tick out of sight."""
     uncertified: int
     """Runs with an uncertified tick."""
     uncertified_share: float
@@ -135,10 +138,12 @@ class AttackTally:
             self.worst = found
 
 
-def warm() -> None:
-    """Compile an attack, or load it from the cache."""
+def warm(*, altitude: bool = False) -> None:
+    """Compile an attack, in the plane or at an altitude, or load it from the cache."""
     conditions = Conditions()
-    attack(declared(conditions, 0.0), conditions, 0, 0, 1, 1.0)
+    bounds = declared(conditions, 0.0)
+    flight = over_town(bounds, conditions, 0) if altitude else None
+    attack(bounds, conditions, 0, 0, 1, 1.0, flight)
 
 
 def _guarded(control: str | None, bounds: SafetyBounds, conditions: Conditions) -> Conditions:
@@ -153,11 +158,21 @@ def _guarded(control: str | None, bounds: SafetyBounds, conditions: Conditions) 
 
 
 def fly_attack(
-    bounds: SafetyBounds, conditions: Conditions, seed: int, first: int, runs: int, duration: float
+    bounds: SafetyBounds,
+    conditions: Conditions,
+    flight: int | None,
+    seed: int,
+    first: int,
+    runs: int,
+    duration: float,
 ) -> Attacked:
-    """Simulate some runs of one combination in a worker; arguments as in `outrider_falsify.attack.attack`."""
-    found = attack(bounds, conditions, seed, first, runs, duration)
-    lost, uncertified = found["max_distance"] >= conditions.r_v, found["uncertified"] > 0.0
+    """Simulate some runs of one combination in a worker; arguments as in `outrider_falsify.attack.attack`.
+
+    `flight` is the row of `FLIGHTS`; None: the UAV flies in the plane.
+    """
+    above = None if flight is None else over_town(bounds, conditions, flight)
+    found = attack(bounds, conditions, seed, first, runs, duration, above)
+    lost, uncertified = found["lost"] > 0.0, found["uncertified"] > 0.0
     certifies = conditions.law == GUARDS.filter
     distance = found["max_certified" if certifies else "max_distance"]
     violated = found["certified_lost"] > 0.0 if certifies else lost
@@ -170,6 +185,7 @@ def fly_attack(
             if getattr(bounds, name) != PAPER_BOUNDS[name]
         },
         conditions=conditions,
+        flight=flight,
         duration=duration,
         runs=runs,
         violations=int(np.sum(violated)),
@@ -183,31 +199,45 @@ def fly_attack(
     )
 
 
+def _combinations(*, altitude: bool) -> Iterator[tuple[SafetyBounds, Conditions, int | None]]:
+    """Yield every combination; those with an altitude take turns with the rows of `FLIGHTS`."""
+    for k, (bounds, conditions) in enumerate(grid()):
+        flight = k % len(FLIGHTS) if altitude else None
+        if flight is None or certifiable(bounds, conditions, flight):
+            yield bounds, conditions, flight
+
+
 def _calls(
-    control: str | None, eps: float | None, seed: int, runs: int | None, duration: float
-) -> Iterator[tuple[SafetyBounds, Conditions, int, int, int, float]]:
+    control: str | None,
+    eps: float | None,
+    seed: int,
+    runs: int | None,
+    duration: float,
+    *,
+    altitude: bool,
+) -> Iterator[tuple[SafetyBounds, Conditions, int | None, int, int, int, float]]:
     """Yield every combination once, then more runs of each until the requested number is reached."""
     left = math.inf if runs is None else runs
-    flown: list[tuple[SafetyBounds, Conditions]] = []
+    flown: list[tuple[SafetyBounds, Conditions, int | None]] = []
 
     def length(bounds: SafetyBounds) -> float:
         return duration * max(1.0, bounds.dt / PAPER_BOUNDS["dt"])
 
-    for bounds, conditions in grid():
+    for bounds, conditions, flight in _combinations(altitude=altitude):
         if left <= 0:
             return
         if eps is None or bounds.max_measurement_error == eps:
-            flown.append((bounds, _guarded(control, bounds, conditions)))
+            flown.append((bounds, _guarded(control, bounds, conditions), flight))
             left -= 1
             yield *flown[-1], seed, 0, 1, length(bounds)
     first = 1
     while flown:
-        for bounds, conditions in flown:
+        for bounds, conditions, flight in flown:
             if left <= 0:
                 return
             count = int(min(_CHUNK, left))
             left -= count
-            yield bounds, conditions, seed, first, count, length(bounds)
+            yield bounds, conditions, flight, seed, first, count, length(bounds)
         first += _CHUNK
 
 
@@ -220,6 +250,7 @@ def run_attack(
     eps: float | None = None,
     seed: int = 1,
     duration: float = 200.0,
+    altitude: bool = False,
     on_task: Callable[[], None] = lambda: None,
 ) -> None:
     """Attack until the budget is used up.
@@ -232,9 +263,10 @@ def run_attack(
         eps: Restriction to one detection error [m].
         seed: Seed of all draws.
         duration: Duration of each run [s]; scaled up with ticks longer than the paper's, to keep the number of ticks.
+        altitude: True if the UAV dives and climbs over towns; False: it flies in the plane.
         on_task: Callback after each task.
     """
-    calls = _calls(control, eps, seed, budget.runs, duration)
+    calls = _calls(control, eps, seed, budget.runs, duration, altitude=altitude)
     for found in workers.stream(fly_attack, calls, budget.ends):
         tally.take(found, new=found.runs == 1 and tally.runs == tally.combinations)
         on_task()
@@ -256,7 +288,11 @@ def again(found: Attacked, seed: int) -> str:
     )
     conditions = f"c = Conditions({arguments})"
     bounds = "".join(f", {name}={value!r}" for name, value in found.bounds.items())
+    names, flight = _NAMES, ""
+    if found.flight is not None:
+        names += "; from outrider_falsify.heights import over_town"
+        flight = f", over_town(b, c, {found.flight})"
     return (
-        f"{_NAMES}; {conditions}; attack(declared(c, {found.eps!r}{bounds}), c, {seed}, {found.worst_run}, 1, "
-        f"{found.duration!r})[0]"
+        f"{names}; {conditions}; b = declared(c, {found.eps!r}{bounds}); "
+        f"attack(b, c, {seed}, {found.worst_run}, 1, {found.duration!r}{flight})[0]"
     )

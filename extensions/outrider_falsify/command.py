@@ -39,6 +39,7 @@ def command(
     engine: options.OneEngine = None,
     control: options.Control = None,
     error: options.Error = None,
+    altitude: options.Altitude = False,
     changes: Set = None,
     allow_code: AllowCode = False,
     out: options.Out = None,
@@ -56,7 +57,8 @@ def command(
     tick was certified while the UGV was out of sight. Bounds missing from [certificate] are set to cover the limits.
 
     For this law a compiled attack runs as well: adversaries control the UAV, the UGV, the detection errors and the
-    network, and break assumptions. It takes 99 of 100 of --runs, or two thirds of --minutes.
+    network, and break assumptions. It takes 99 of 100 of --runs, or two thirds of --minutes. With --altitude, the UAV
+    also dives and climbs over towns that hide the UGV.
 
     The exit code is 0 for any result unless --expect is given; 130 after Ctrl-C, which keeps the best result.
 
@@ -78,6 +80,8 @@ def command(
     check_code(flown, named, source=scenario, allowed=allow_code)
     check_own_functions(flown)
     certified = LAWS[flown.law.name].watched
+    if altitude and (engine != "attack" or control is not None):
+        raise typer.BadParameter("--altitude: needs --engine attack, without --control")
     if (engine is not None or error is not None) and not certified:
         raise typer.BadParameter(
             f"law = {flown.law.name}: --engine and --error need the law certified"
@@ -98,6 +102,7 @@ def command(
         attack_duration=duration or options.ATTACK,
         seed=seed,
         jobs=jobs or cores(),
+        altitude=altitude,
         control=None if control is None else str(control),
         eps=error,
         out=out,

@@ -1,5 +1,6 @@
 """Search with both engines under one budget: simulated scenarios and, for `certified`, the compiled attack."""
 
+import functools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -42,6 +43,8 @@ class SearchRequest:
     """Duration of an attack's run [s]."""
     seed: int = 1
     jobs: int = 1
+    altitude: bool = False
+    """True to attack a UAV that dives and climbs over towns."""
     control: str | None = None
     """Faulty guard to expose, a row of `CONTROLS`."""
     eps: float | None = None
@@ -98,6 +101,7 @@ class SearchResult:
         return {
             "law": wanted.base.law.name,
             "control": wanted.control,
+            "altitude": wanted.altitude,
             "runs": self.runs,
             "violations": self.violations,
             "lost": self.lost,
@@ -203,7 +207,7 @@ def _attack(
         None if wanted.minutes is None else 60.0 * wanted.minutes - (time.monotonic() - began),
         ends,
     )
-    with Workers(wanted.jobs, warm_attack) as workers:
+    with Workers(wanted.jobs, functools.partial(warm_attack, altitude=wanted.altitude)) as workers:
         run_attack(
             workers,
             budget,
@@ -212,6 +216,7 @@ def _attack(
             eps=wanted.eps,
             seed=wanted.seed,
             duration=wanted.attack_duration,
+            altitude=wanted.altitude,
             on_task=lambda: on_run("attack", budget.share(tally.runs)),
         )
 

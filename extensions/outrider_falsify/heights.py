@@ -1,5 +1,6 @@
 """Altitude in an attack: an adversary that dives and climbs, and the radius within which the UGV is visible."""
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -7,10 +8,11 @@ import msgspec
 
 from agents.safety.altitude import decide_in_space
 from agents.safety.decision import decide
-from agents.safety.levels import levels_of
+from agents.safety.levels import bounds_at, levels_of
 from agents.safety.memory import FilterMemory
 from bus.messages.buildings import AltitudeLimits, Camera
 from bus.messages.vehicle import UavBriefing
+from outrider_falsify.conditions import Conditions, scenario_of
 from outrider_falsify.opponents import UAV
 from outrider_falsify.rng import RngState, next_share
 from sim.compiling.compile import compiled
@@ -38,6 +40,26 @@ class Town(NamedTuple):
     """Distance that the UGV keeps from them [m]."""
 
 
+_LIMITS = (
+    AltitudeLimits(initial_altitude=14.0, max_altitude=30.0),
+    AltitudeLimits(
+        initial_altitude=12.0, max_altitude=20.0, max_climb_rate=4.0, max_vertical_acceleration=3.0
+    ),
+    AltitudeLimits(
+        initial_altitude=9.0,
+        min_altitude=0.5,
+        max_altitude=40.0,
+        max_climb_rate=0.3,
+        max_vertical_acceleration=0.1,
+    ),
+)
+"""Agile and sluggish UAVs."""
+_TOWNS = ((5.0, 1.5, 0.3), (3.0, 0.8, 0.0), (0.0, 1.5, 0.3))
+"""Height of the buildings, clearance and height of the marker [m]."""
+FLIGHTS = tuple(itertools.product(_LIMITS, (0.785, 1.2), _TOWNS))
+"""Flights with an altitude: vertical limits, half angle of the camera [rad], and town."""
+
+
 class Heights(NamedTuple):
     """Altitude of an attacked UAV: bounds of its filter by altitude, and the town."""
 
@@ -46,8 +68,10 @@ class Heights(NamedTuple):
     town: Town
 
 
-def at_altitude(scenario: Scenario, limits: AltitudeLimits, camera: Camera, town: Town) -> Scenario:
-    """Return a scenario of an attack with a UAV that has an altitude. The world needs no buildings: `Town` judges."""
+def _at_altitude(
+    scenario: Scenario, limits: AltitudeLimits, camera: Camera, town: Town
+) -> Scenario:
+    """Return a scenario in which the UAV has an altitude. The world needs no buildings: `Town` judges."""
     uav = msgspec.structs.replace(
         scenario.uav[0],
         initial_altitude=limits.initial_altitude,
@@ -60,22 +84,47 @@ def at_altitude(scenario: Scenario, limits: AltitudeLimits, camera: Camera, town
     return msgspec.structs.replace(scenario, camera=camera, uav=(uav,), ugv=(ugv,))
 
 
-def heights_of(scenario: Scenario, town: Town, briefing: UavBriefing | None = None) -> Heights:
-    """Return the bounds of the filter over the worst town.
-
-    Args:
-        scenario: Scenario from `at_altitude`.
-        town: The town.
-        briefing: Briefing of the UAV with the declared bounds; None: the scenario's.
-    """
-    brief = briefing or uav_briefing(scenario, scenario.uav[0].name, 0)
+def _setting(
+    bounds: SafetyBounds, conditions: Conditions, flight: int
+) -> tuple[Scenario, Town, UavBriefing]:
+    """Return the scenario of a flight, its town, and the briefing of the UAV with the bounds of the attack."""
+    limits, half_angle, (tallest, clearance, marker) = FLIGHTS[flight]
+    town = Town(conditions.r_v, math.tan(half_angle), marker, tallest, clearance)
+    camera = Camera(half_angle=half_angle)
+    scenario = _at_altitude(scenario_of(bounds, conditions), limits, camera, town)
+    brief = uav_briefing(scenario, scenario.uav[0].name, 0)
     brief = msgspec.structs.replace(
         brief,
-        max_building_height=town.tallest if town.tallest > 0.0 else None,
-        building_clearance=town.clearance,
-        marker_height=town.marker,
+        safety=msgspec.structs.replace(
+            brief.safety,
+            max_measurement_error=bounds.max_measurement_error,
+            max_measurement_age=bounds.max_measurement_age,
+        ),
+        max_building_height=tallest or None,
+        building_clearance=clearance,
+        marker_height=marker,
     )
-    return Heights(levels_of(brief), town)
+    return scenario, town, brief
+
+
+def certifiable(bounds: SafetyBounds, conditions: Conditions, flight: int) -> bool:
+    """Return whether the highest altitude of a flight can be certified. Arguments as in `over_town`."""
+    _, _, brief = _setting(bounds, conditions, flight)
+    return bounds_at(brief, FLIGHTS[flight][0].max_altitude).valid
+
+
+def over_town(
+    bounds: SafetyBounds, conditions: Conditions, flight: int
+) -> tuple[Scenario, Heights]:
+    """Return the scenario of an attacked UAV with an altitude, and the bounds of its filter.
+
+    Args:
+        bounds: Declared bounds in the plane.
+        conditions: Conditions of the attack.
+        flight: Row of `FLIGHTS`.
+    """
+    scenario, town, brief = _setting(bounds, conditions, flight)
+    return scenario, Heights(levels_of(brief), town)
 
 
 @compiled
@@ -105,6 +154,9 @@ def draw_climb(random: RngState, max_acceleration: float) -> float:
         return max_acceleration
     if share < 0.7:
         return math.nan
+    if share < 0.85:  # down to the order of rounding errors
+        share = math.pow(10.0, -16.0 * next_share(random))
+        return -max_acceleration * share
     return (2.0 * next_share(random) - 1.0) * max_acceleration
 
 

@@ -76,6 +76,10 @@ Control = Annotated[
     ControlGuard | None,
     typer.Option(help="Attack a faulty guard in place of the safety filter."),
 ]
+Altitude = Annotated[
+    bool,
+    typer.Option("--altitude", help="Attack a UAV that dives and climbs over towns."),
+]
 Out = Annotated[
     Path | None,
     typer.Option(

@@ -2,56 +2,70 @@
 
 import math
 
-import msgspec
 import pytest
 
-from bus.messages.buildings import AltitudeLimits, Camera
 from outrider_falsify.attack import attack
-from outrider_falsify.conditions import Conditions, declared, scenario_of
-from outrider_falsify.heights import Town, at_altitude, heights_of
-from sim.engine.briefing import uav_briefing
+from outrider_falsify.conditions import AREAS, BLACKOUTS, DISTURBANCES, Conditions, declared
+from outrider_falsify.heights import FLIGHTS, Town, certifiable, over_town
+from outrider_falsify.lost_trajectories import LOSSES
 
-LIMITS = AltitudeLimits(initial_altitude=14.0, max_altitude=30.0)
-CAMERA = Camera(half_angle=0.785)
-TOWN = Town(r_v=4.75, tangent=math.tan(0.785), marker=0.3, tallest=5.0, clearance=1.5)
-CONDITIONS = {
-    "perfect": Conditions(),
-    "delayed and lossy": Conditions(delay=0.2, max_command_interval=1.0, losses=1),
+NARROW, WIDE = 0, 9
+"""Rows of `FLIGHTS`: an agile UAV with a narrow and a wide camera."""
+FLIGHTS_OF = {
+    "perfect": (Conditions(), 0.3, NARROW),
+    "delayed and lossy": (
+        Conditions(delay=0.2, max_command_interval=1.0, losses=LOSSES[1]),
+        0.3,
+        WIDE,
+    ),
+    "late detections": (
+        Conditions(
+            delay=0.3, latency=3.0, scattered=True, blackout=BLACKOUTS.when_far, blackout_time=2.0
+        ),
+        0.0,
+        WIDE,
+    ),
+    "a process that leaves": (
+        Conditions(delay=0.3, disturbance=DISTURBANCES.rejoins, area=AREAS.corner),
+        0.6,
+        NARROW,
+    ),
+    "bare accelerations": (
+        Conditions(bare=True, disturbance=DISTURBANCES.single_losses, u_g=math.inf),
+        0.6,
+        NARROW,
+    ),
+    "starts moving": (Conditions(start_speed=0.3, area=AREAS.corner), 0.6, WIDE),
 }
+"""Conditions, largest detection error [m], and row of `FLIGHTS`."""
 
 
-def attacked(name: str, eps: float, town: Town, judged: Town, runs: int) -> tuple[float, float]:
+def attacked(name: str, runs: int, town: Town | None = None) -> tuple[float, float]:
     """Return the certified ticks out of sight, and the broken certificates, of all runs.
 
     Args:
-        name: Conditions.
-        eps: Largest detection error [m].
-        town: Town that the filter assumes.
-        judged: Town by which sight is judged.
+        name: Row of `FLIGHTS_OF`.
         runs: Number of runs.
+        town: Town by which sight is judged; None: the one that the filter assumes.
     """
-    conditions = CONDITIONS[name]
+    conditions, eps, flight = FLIGHTS_OF[name]
     bounds = declared(conditions, eps)
-    scenario = at_altitude(scenario_of(bounds, conditions), LIMITS, CAMERA, town)
-    brief = uav_briefing(scenario, "uav_0", 0)
-    safety = msgspec.structs.replace(
-        brief.safety,
-        max_measurement_error=eps,
-        max_measurement_age=bounds.max_measurement_age,
-    )
-    heights = heights_of(scenario, town, msgspec.structs.replace(brief, safety=safety))
+    assert certifiable(bounds, conditions, flight)
+    scenario, heights = over_town(bounds, conditions, flight)
     assert heights.levels["valid"].all()
-    flight = scenario, heights._replace(town=judged)
-    found = attack(bounds, conditions, 3, 0, runs, 60.0, flight)
+    heights = heights._replace(town=town or heights.town)
+    found = attack(bounds, conditions, 3, 0, runs, 60.0, (scenario, heights))
     return float(found["certified_lost"].sum()), float(found["broken"].sum())
 
 
-@pytest.mark.parametrize("name", CONDITIONS)
+@pytest.mark.parametrize("name", FLIGHTS_OF)
 def test_no_certified_tick_is_out_of_sight_at_any_altitude(name: str) -> None:
-    assert attacked(name, 0.3, TOWN, TOWN, 60) == (0.0, 0.0)
+    assert attacked(name, 60) == (0.0, 0.0)
 
 
 def test_buildings_nearer_than_declared_are_noticed() -> None:
     """The attack is strong enough to find a filter that assumes too much."""
-    lost, _ = attacked("perfect", 0.3, TOWN, TOWN._replace(clearance=1.3), 60)
+    _, half_angle, (tallest, clearance, marker) = FLIGHTS[NARROW]
+    town = Town(4.75, math.tan(half_angle), marker, tallest, clearance - 0.2)
+    lost, _ = attacked("perfect", 60, town)
     assert lost > 0.0
