@@ -103,6 +103,7 @@ falsify, unknown limit | falsify --limit los=0.1 | allowed: delay, loss
 falsify, limit without a number | falsify --limit loss | loss=NUMBER
 falsify, nothing to promise | falsify --law certified --limit blackout=60 | nothing can be certified within
 falsify, several pairs | falsify pairs.toml | 2 UAVs and 2 UGVs
+falsify, altitude without the attack | falsify --law certified --altitude | --altitude
 falsify, control of another law | falsify --control tracking --law linear | --control
 falsify, engine of another law | falsify --law linear --engine attack | --engine
 falsify, error not in the grid | falsify --law certified --error 0.4 | allowed: 0, 0.3

@@ -1,13 +1,17 @@
 """Attack on the safety filter of a UAV that dives and climbs over the worst town."""
 
 import math
+from typing import Any
 
 import pytest
 
+from outrider_falsify import attacks
 from outrider_falsify.attack import attack
 from outrider_falsify.conditions import AREAS, BLACKOUTS, DISTURBANCES, Conditions, declared
 from outrider_falsify.heights import FLIGHTS, Town, certifiable, over_town
 from outrider_falsify.lost_trajectories import LOSSES
+from outrider_falsify.pool import Workers
+from outrider_falsify.search import Budget
 
 NARROW, WIDE = 0, 9
 """Rows of `FLIGHTS`: an agile UAV with a narrow and a wide camera."""
@@ -69,3 +73,18 @@ def test_buildings_nearer_than_declared_are_noticed() -> None:
     town = Town(4.75, math.tan(half_angle), marker, tallest, clearance - 0.2)
     lost, _ = attacked("perfect", 60, town)
     assert lost > 0.0
+
+
+def test_search_over_towns_finds_nothing_and_its_run_reflies() -> None:
+    tally = attacks.AttackTally()
+    with Workers(1, attacks.warm) as workers:
+        attacks.run_attack(
+            workers, Budget(40, None, lambda: False), tally, duration=20.0, altitude=True
+        )
+    assert (tally.runs, tally.violations, tally.broken) == (40, 0, 0)
+    assert tally.worst is not None
+    namespace: dict[str, Any] = {}
+    statements, _, expression = attacks.again(tally.worst, 1).rpartition("; ")
+    exec(statements, namespace)  # noqa: S102
+    row = eval(expression, namespace)  # noqa: S307
+    assert row["max_certified"] == tally.worst.worst_distance

@@ -315,14 +315,14 @@ def test_the_best_detection_is_caught_where_there_are_blackouts() -> None:
     conditions = Conditions(blackout=1, blackout_time=10.0)
     bounds = declared(conditions, 0.9)
     assert attacks.fly_attack(
-        bounds, attacks._guarded("argmin", bounds, conditions), 1, 0, 60, 200.0
+        bounds, attacks._guarded("argmin", bounds, conditions), None, 1, 0, 60, 200.0
     ).violations
 
 
 def test_combination_with_uncertified_ticks_has_no_violation() -> None:
     conditions = Conditions(blackout=1, blackout_time=12.0)
     bounds = declared(conditions._replace(blackout_time=2.0), 0.3)
-    result = attacks.fly_attack(bounds, conditions, 1, 0, 20, 100.0)
+    result = attacks.fly_attack(bounds, conditions, None, 1, 0, 20, 100.0)
     assert result.uncertified == 20
     assert result.violations == 0
 
