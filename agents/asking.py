@@ -14,18 +14,24 @@ LARGEST = 1e6
 """Largest component that a message may carry [m/s], [m/s²]; replaces an infinite bound."""
 
 
-def pair(answer: object, shape: tuple[int, ...] = (2,)) -> tuple[float, float] | None:
-    """Return two finite numbers from an array of the given shape; None if the answer is anything else."""
+def finite(answer: object, shape: tuple[int, ...]) -> list[float] | None:
+    """Return the finite numbers of an array of the given shape; None if the answer is anything else."""
     try:
         array = np.asarray(answer)
         if array.shape != shape or array.dtype.kind not in "fiu":
             return None
         # A long double may exceed float64: it becomes infinite and is rejected below.
         with np.errstate(over="ignore"):
-            x, y = array.astype(np.float64).ravel().tolist()
+            values: list[float] = array.astype(np.float64).ravel().tolist()
     except Exception:  # noqa: BLE001 - the conversion may run the policy's own code, for example of a tensor
         return None
-    return (x, y) if math.isfinite(x) and math.isfinite(y) else None
+    return values if all(map(math.isfinite, values)) else None
+
+
+def pair(answer: object) -> tuple[float, float] | None:
+    """Return two finite numbers; None if the answer is anything else."""
+    values = finite(answer, (2,))
+    return None if values is None else (values[0], values[1])
 
 
 class AskedPolicy:

@@ -1,17 +1,116 @@
 """Vertical control and camera of a UAV that has an altitude: its altitude law, and its sensor at its altitude."""
 
 import math
+from typing import NamedTuple
 
 from agents.control.altitude import ABOVE_FLOOR, PERIOD, best_altitude, climb_to
 from agents.safety.levels import least_altitude, levels_of, lowest_certified
-from agents.uav_parameters import UavParameters
-from bus.messages.base import Vector
+from agents.uav_parameters import Target, UavParameters
 from bus.messages.vehicle import UavBriefing, UavObservation
-from sim.compiling.compile import FloatArray
+from bus.registry import ALTITUDE_LAWS
+from sim.compiling.compile import FloatArray, compiled
+from sim.compiling.records import RecordArray, fresh, records
+from sim.models.altitude import VerticalMotion, vertical_motion
 from sim.models.buildings import building_table
 from sim.models.camera import CameraParameters, sensor_at
 from sim.models.sensor import SensorParameters
 from sim.models.shadows import Occlusion
+from sim.models.vehicles import Motion
+
+_CERTIFIED, _BEST = ALTITUDE_LAWS.index("certified"), ALTITUDE_LAWS.index("best")
+
+
+class HeightParameters(NamedTuple):
+    """Altitude law of one UAV, and its camera."""
+
+    law: int
+    """Index in `ALTITUDE_LAWS`."""
+    lowest: float
+    highest: float
+    """Altitudes between which the laws `certified` and `best` fly [m]."""
+    sensor: SensorParameters
+    """Sensor at the reference altitude."""
+    camera: CameraParameters
+
+
+class HeightMemory:
+    """Memory of the altitude law of one UAV, a record."""
+
+    goal: float
+    """Altitude to reach [m]."""
+    compared: int = -1
+    """Tick of the last comparison of altitudes; -1: none yet."""
+
+
+def height_parameters(briefing: UavBriefing, uav: UavParameters) -> HeightParameters:
+    """Return the altitude law and the camera of a UAV.
+
+    Raises:
+        ValueError: If the UAV flies in the plane.
+    """
+    own, camera = briefing.altitude, briefing.camera
+    if own is None or camera is None:
+        raise ValueError("the UAV flies in the plane: it has no altitude to control")
+    certified = lowest_certified(briefing)
+    floor = least_altitude(briefing) if certified is None else certified
+    top = own.max_altitude if certified is None else float(levels_of(briefing)["floor"][-1])
+    lowest = min(floor + ABOVE_FLOOR, own.max_altitude)
+    return HeightParameters(
+        law=ALTITUDE_LAWS.index(own.law),
+        lowest=lowest,
+        highest=max(top, lowest),
+        sensor=uav.sensor,
+        camera=CameraParameters(
+            math.tan(camera.half_angle), camera.reference_altitude, briefing.marker_height
+        ),
+    )
+
+
+def height_memory(briefing: UavBriefing) -> RecordArray:
+    """Return the initial memory of the altitude law. Shape (1,)."""
+    memory = fresh(HeightMemory)
+    memory["goal"] = 0.0 if briefing.altitude is None else briefing.altitude.initial_altitude
+    return memory
+
+
+@compiled
+def vertical_command(
+    uav: UavParameters,
+    parameters: HeightParameters,
+    memory: HeightMemory,
+    tick: int,
+    here: Motion,
+    own: VerticalMotion,
+    coverage: FloatArray,
+    target: Target,
+) -> float:
+    """Return the vertical acceleration of the altitude law [m/s²].
+
+    Args:
+        uav: Constants of the UAV.
+        parameters: Altitude law and camera.
+        memory: Memory of the altitude law, changed in place.
+        tick: Current tick.
+        here, own: Horizontal and vertical state of the UAV.
+        coverage: Its own map. Shape (rows, columns).
+        target: Estimate of the UGV.
+    """
+    if parameters.law == _CERTIFIED:
+        memory.goal = parameters.lowest
+    elif parameters.law == _BEST and target.known:
+        period = max(1, round(PERIOD / uav.dt))
+        if memory.compared < 0 or tick - memory.compared >= period:
+            memory.compared = tick
+            memory.goal = best_altitude(
+                coverage,
+                (here.p_x, here.p_y),
+                (target.p_x, target.p_y),
+                (uav.density_radius, uav.desired_coverage, uav.cell),
+                parameters.sensor,
+                parameters.camera,
+                (parameters.lowest, parameters.highest),
+            )
+    return climb_to(own.altitude, own.rate, memory.goal, own.max_rate, own.max_acceleration, uav.dt)
 
 
 class HeightControl:
@@ -26,79 +125,42 @@ class HeightControl:
     """
 
     def __init__(self, briefing: UavBriefing, uav: UavParameters) -> None:
-        if briefing.altitude is None or briefing.camera is None:
-            raise ValueError("the UAV flies in the plane: it has no altitude to control")
-        self._own, self._uav = briefing.altitude, uav
-        self._camera = CameraParameters(
-            math.tan(briefing.camera.half_angle),
-            briefing.camera.reference_altitude,
-            briefing.marker_height,
-        )
+        self._parameters = height_parameters(briefing, uav)
+        self._fixed = records(UavParameters, [uav]), records(HeightParameters, [self._parameters])
+        self._memory, self._own = height_memory(briefing), vertical_motion(briefing.altitude)
         self._buildings = building_table([(one.corners, one.height) for one in briefing.buildings])
-        levels = levels_of(briefing)
-        lowest = lowest_certified(briefing)
-        floor = least_altitude(briefing) if lowest is None else lowest
-        self._lowest = min(floor + ABOVE_FLOOR, self._own.max_altitude)
-        top = float(levels["floor"][-1]) if lowest is not None else self._own.max_altitude
-        self._highest = max(top, self._lowest)
-        self._goal, self._compared = self._own.initial_altitude, -1
-        self._z = self._own.initial_altitude
 
     def see(self, observation: UavObservation) -> None:
-        """Record the altitude."""
+        """Record the altitude and the climb rate."""
         if observation.altitude is not None:
-            self._z = observation.altitude
+            own = self._own[0]
+            own["altitude"], own["rate"] = observation.altitude, observation.climb_rate
 
     @property
     def sensor(self) -> SensorParameters:
         """Sensor at the present altitude."""
-        found: SensorParameters = sensor_at(self._uav.sensor, self._camera, self._z)
+        own = self._parameters
+        found: SensorParameters = sensor_at(own.sensor, own.camera, self._own[0]["altitude"])
         return found
 
     @property
     def occlusion(self) -> Occlusion | None:
         """Known buildings, seen from the present altitude; None: none is known."""
         rows, corners = self._buildings
-        return Occlusion(rows, corners, self._z) if len(rows) else None
+        return Occlusion(rows, corners, float(self._own[0]["altitude"])) if len(rows) else None
 
-    def command(
-        self, observation: UavObservation, coverage: FloatArray, target: Vector | None
-    ) -> float:
+    def command(self, observation: UavObservation, coverage: FloatArray, target: Target) -> float:
         """Return the vertical acceleration of the altitude law [m/s²].
 
         Args:
-            observation: Observation of this tick.
+            observation: Observation of this tick, after `see`.
             coverage: The UAV's own map. Shape (rows, columns).
-            target: Estimated position of the UGV [m]; None: unknown.
+            target: Estimate of the UGV.
         """
-        own, uav = self._own, self._uav
-        if own.law == "certified":
-            self._goal = self._lowest
-        elif own.law == "best" and target is not None:
-            self._compare(observation, coverage, target)
+        here = Motion(*observation.position, *observation.velocity)
+        own, (uav, parameters) = self._own[0], (rows[0] for rows in self._fixed)
         return float(
-            climb_to(
-                self._z,
-                observation.climb_rate,
-                self._goal,
-                own.max_climb_rate,
-                own.max_vertical_acceleration,
-                uav.dt,
+            vertical_command(
+                uav, parameters, self._memory[0], observation.tick, here, own, coverage, target
             )
-        )
-
-    def _compare(self, observation: UavObservation, coverage: FloatArray, target: Vector) -> None:
-        """Choose the best altitude, once a second."""
-        period = max(1, round(PERIOD / self._uav.dt))
-        if self._compared >= 0 and observation.tick - self._compared < period:
-            return
-        self._compared, uav = observation.tick, self._uav
-        self._goal = best_altitude(
-            coverage,
-            observation.position,
-            target,
-            (uav.density_radius, uav.desired_coverage, uav.cell),
-            uav.sensor,
-            self._camera,
-            (self._lowest, self._highest),
         )

@@ -185,6 +185,8 @@ class UavPilot:
             self._height.see(observation)
             sensor, occlusion = self._height.sensor, self._height.occlusion
             self._law.set_sensor(sensor)
+            if self._policy is not None:
+                self._policy.sensor = sensor
         if before is not None and tick > before:
             (x, y), looked = observation.position, (tick - before) * dt
             accumulate(self.coverage, x, y, sensor, self._uav.cell, looked, occlusion)
@@ -200,17 +202,23 @@ class UavPilot:
         if self.filter is None or not self._watched:
             self.filter = self._make_filter()
 
+    @property
+    def _flies_policy(self) -> bool:
+        row = self._law.row
+        return "uav_policy" in (row.own, row.inner)
+
     def _vertical(self, observation: UavObservation) -> float:
-        """Return the vertical acceleration of the altitude law [m/s²]; 0 in the plane."""
+        """Return the vertical acceleration of the policy or the altitude law [m/s²]; 0 in the plane."""
         if self._height is None:
             return 0.0
-        target = None if self._estimate is None else self._estimate.position
-        return self._height.command(observation, self.coverage, target)
+        if self._policy is not None and self._flies_policy:
+            return self._policy.vertical
+        return self._height.command(observation, self.coverage, self.estimator.target)
 
     def _nominal(self, observation: UavObservation) -> Vector:
         """Return the acceleration of the law, or of the policy that replaces it, within the bound of (1) [m/s²]."""
-        row, uav, target = self._law.row, self._uav, self.estimator.target
-        if self._policy is not None and "uav_policy" in (row.own, row.inner):
+        uav, target = self._uav, self.estimator.target
+        if self._policy is not None and self._flies_policy:
             return self._policy.acceleration(observation, self._policy_estimate(), self.coverage)
         own = Motion(*observation.position, *observation.velocity)
         if not target.known:

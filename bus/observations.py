@@ -45,6 +45,8 @@ SYMBOLS = {
     "d_max": "largest observed relative position [m]: for a detection the sensor's range plus the largest noise, at "
     "most D; for an estimate D",
     "D": "diagonal of the area [m]",
+    "z_max": "maximum altitude of the UAV [m]",
+    "w_max": "maximum climb rate of the UAV [m/s]",
     "E": "2 C*^2 W H, more than e(t) can ever be [m^2]",
 }
 """Meaning of the symbols in the ranges."""
@@ -73,6 +75,12 @@ UAV: Table = (
     _AGE,
 )
 """Observation of a UAV: its own state, and the newest detection of the UGV."""
+
+ALTITUDE: Table = (
+    Entry("altitude", "own altitude above the ground", "m", "0", "z_max"),
+    Entry("climb_rate", "own climb rate", "m/s", "-w_max", "w_max"),
+)
+"""Further entries of a UAV that has an altitude, after `UAV`; also at the end of its state."""
 
 GRADIENT: Table = tuple(
     Entry(
@@ -200,6 +208,7 @@ def markdown(table: Table) -> str:
 
 TABLES = {
     "uav_observation": UAV,
+    "altitude_observation": ALTITUDE,
     "gradient_observation": GRADIENT,
     "ugv_observation": UGV,
     "common_state": STATE,

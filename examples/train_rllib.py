@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import ray
+import supersuit
 from ray.rllib.algorithms.ppo import PPOConfig
-from ray.rllib.connectors.env_to_module import MeanStdFilter
 from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 from ray.tune.registry import register_env
 
@@ -19,9 +19,8 @@ import outrider
 
 def make_env(config):
     """Return the environment for RLlib; rows of UAV and UGV differ in length."""
-    return ParallelPettingZooEnv(
-        outrider.parallel_env("escort", duration=config.get("duration"), dtype=np.float32)
-    )
+    env = outrider.parallel_env("escort", duration=config.get("duration"), dtype=np.float32)
+    return ParallelPettingZooEnv(supersuit.normalize_obs_v0(env, env_min=-1, env_max=1))
 
 
 def policy_of(agent, *_, **__):
@@ -69,10 +68,7 @@ def main():
     config = (
         PPOConfig()
         .environment("outrider", env_config={"duration": args.duration})
-        .env_runners(
-            num_env_runners=args.runners,
-            env_to_module_connector=lambda *_, **__: MeanStdFilter(multi_agent=True),
-        )
+        .env_runners(num_env_runners=args.runners)
         .multi_agent(policies=["uav", "ugv"], policy_mapping_fn=policy_of)
         .training(
             train_batch_size_per_learner=args.batch,

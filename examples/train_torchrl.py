@@ -20,7 +20,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import NormalParamExtractor, TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.collectors import Collector
-from torchrl.data import ContinuousBox
+from torchrl.data import Bounded
 from torchrl.envs import PettingZooWrapper
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal
@@ -66,11 +66,12 @@ class Rescale(nn.Module):
     """Scaling of bounded numbers to [-1, 1]: first layer of each network.
 
     Args:
-        space: Space of the numbers, from TorchRL's specs.
+        spec: Bounds of the numbers.
     """
 
-    def __init__(self, space: ContinuousBox) -> None:
+    def __init__(self, spec: Bounded) -> None:
         super().__init__()
+        space = spec.space
         low, high = (bound.reshape(-1, bound.shape[-1])[0] for bound in (space.low, space.high))
         self.register_buffer("middle", (low + high) / 2.0)
         self.register_buffer("reach", ((high - low) / 2.0).clamp_min(1e-6))
@@ -84,7 +85,7 @@ def make_actor(env: PettingZooWrapper, group: str) -> ProbabilisticActor:
     spec = env.full_action_spec[group, "action"]
     observed = env.observation_spec[group, "observation"]
     net = nn.Sequential(
-        Rescale(observed.space),
+        Rescale(observed),
         MLP(
             observed.shape[-1],
             2 * spec.shape[-1],
@@ -112,7 +113,7 @@ class Critic(nn.Module):
         state = env.observation_spec["state"]
         vehicles = len(env.group_map[group])
         self.net = nn.Sequential(
-            Rescale(state.space),
+            Rescale(state),
             MLP(state.shape[-1], vehicles, num_cells=[128, 128], activation_class=nn.Tanh),
         )
 

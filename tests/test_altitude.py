@@ -7,8 +7,6 @@ import pytest
 
 from agents.control.altitude import climb_to
 from agents.safety.levels import levels_of, lowest_certified
-from bus.errors import ScenarioError
-from outrider.envs.parallel import parallel_env
 from outrider.running.altitude_assumptions import certified_from
 from outrider.running.assumptions import assumption_warnings, how_certifiable
 from outrider.running.flying import fly
@@ -137,11 +135,6 @@ def test_town_flies_one_trajectory_over_three_processes() -> None:
     assert there["certified_while_lost"] == here.certified_while_lost == 0
     assert here.certified_share is not None
     assert here.certified_share > 0.9
-
-
-def test_environments_refuse_an_altitude() -> None:
-    with pytest.raises(ScenarioError, match=r"uav.0.initial_altitude = 14: environments fly"):
-        parallel_env("town")
 
 
 def test_a_change_of_driver_that_ends_the_clearance_is_reported() -> None:

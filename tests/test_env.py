@@ -18,6 +18,7 @@ from outrider.envs.parallel import OutriderEnv, parallel_env
 from sim.engine.briefing import briefing
 from sim.env.spaces import FREE_ACCELERATION, extent_of
 from sim.models.vehicles import clip_norm
+from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, Scenario, Uav, Ugv
 from sim.world import World
 from worlds import FREE, ONE, POOR, equal
@@ -42,6 +43,9 @@ MANY = Scenario(
         Ugv(name="ugv_1", position=(21.0, 10.0), max_speed=0.3),
     ),
 )
+HIGH = load_scenario(
+    "escort", overrides=["duration=25", "uav.0.initial_altitude=8", "uav.0.max_altitude=12"]
+)
 OPTIONS = [
     pytest.param(ONE, {}, id="one"),
     pytest.param(ONE, {"dtype": np.float32}, id="float32"),
@@ -53,12 +57,15 @@ OPTIONS = [
         id="many",
     ),
     pytest.param(msgspec.structs.replace(ONE, uav=()), {}, id="without a UAV"),
+    pytest.param(HIGH, {}, id="altitude"),
 ]
 
 
 def random_actions(env, rng, *, length=1.0):
     return {
-        name: rng.uniform(-length, length, 2) * env.action_space(name).high for name in env.agents
+        name: rng.uniform(-length, length, env.action_space(name).shape)
+        * env.action_space(name).high
+        for name in env.agents
     }
 
 
@@ -67,6 +74,16 @@ def fly(env, rng, ticks):
         if not env.agents:
             return
         yield env.step(random_actions(env, rng))
+
+
+def test_the_third_action_climbs():
+    env = parallel_env(HIGH)
+    env.reset(seed=1)
+    for _ in range(10):
+        seen, *_ = env.step({"uav_0": [0.0, 0.0, 0.5], "ugv_0": [0.0, 0.0]})
+    assert seen["uav_0"][9:].tolist() == pytest.approx([8.0 + 0.5 * 0.5 * 0.5**2, 0.25])
+    names = dict(zip(env.state_names, env.state(), strict=True))
+    assert [names["uav_0.altitude"], names["uav_0.climb_rate"]] == seen["uav_0"][9:].tolist()
 
 
 @pytest.mark.parametrize(("scenario", "options"), OPTIONS)
@@ -183,8 +200,11 @@ def test_everything_returned_lies_in_its_space(scenario, options, push):
         )
         actions = random_actions(env, rng)
         if push != "random":
-            way = {"axis": (-1.0, 0.0), "diagonal": (1.0, 1.0), "out": (3.7, -50.0)}[push]
-            actions = {name: np.array(way) * env.action_space(name).high for name in env.agents}
+            way = {"axis": (-1.0, 0.0, -1.0), "diagonal": (1.0, 1.0, 1.0), "out": (3.7, -50.0, 9.0)}
+            actions = {
+                name: np.array(way[push])[: len(high)] * high
+                for name, high in ((name, env.action_space(name).high) for name in env.agents)
+            }
         observations, *_ = env.step(actions)
 
 

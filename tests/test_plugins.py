@@ -71,7 +71,7 @@ flight, summary = flown()
 laws = law_tables([uav_briefing(scenario, "uav_0", 0)], [scenario.law])
 seen = empty_coverage(20.0, 20.0, 0.5), 7, Motion(10.5, 10.3, 0.1, 0.0), Target(True, 10.0, 10.0, 0.0, 0.0, 0.0, 0.0)
 memories, at = law_memories(laws, 1), (0, 0)
-law = [nominal_command(laws, memories, at, *seen)]
+law = [nominal_command(laws, laws.uavs[0], memories, at, *seen)]
 rows = laws.uavs[0], laws.parameters.my_package_cautious[0], law_memories(laws, 1).my_package_cautious[at]
 law.append(clip_norm(*cautious.command(*rows, *seen), laws.uavs[0]["max_acceleration"]))
 

@@ -72,6 +72,7 @@ def law_memories(tables: LawTables, worlds: int) -> Any:  # noqa: ANN401 - `PerL
 @compiled
 def nominal_command(
     tables: LawTables,
+    uav: UavParameters,
     memories: Any,  # noqa: ANN401 - `PerLaw`
     place: tuple[int, int],
     coverage: FloatArray,
@@ -83,6 +84,7 @@ def nominal_command(
 
     Args:
         tables: Tables of the batch.
+        uav: Constants of this UAV, with its sensor at its altitude.
         memories: Memories of the laws, changed in place.
         place: World and UAV.
         coverage: The UAV's coverage grid C. Shape (rows, columns).
@@ -91,7 +93,6 @@ def nominal_command(
         target: Estimate of the UGV.
     """
     row = place[1]
-    uav = tables.uavs[row]
     if not target.known:
         return brake(own.v_x, own.v_y, uav.max_acceleration, uav.dt)
     inputs = coverage, tick, own, target

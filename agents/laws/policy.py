@@ -5,18 +5,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.asking import LARGEST, AskedPolicy, pair
+from agents.asking import LARGEST, AskedPolicy, finite
 from agents.uav_parameters import UavParameters
 from bus.errors import ScenarioError
 from bus.messages.base import Vector
 from bus.messages.vehicle import UavBriefing, UavObservation
-from bus.observations import GRADIENT, UAV, Row, clipped
+from bus.observations import ALTITUDE, GRADIENT, UAV, Row, clipped
 from bus.ticks import Look, looks_of
 from sim.compiling.compile import FloatArray
 from sim.models.field import coverage_gradient, sample
 
 UavPolicy = Callable[[Any], object]
-"""Function that maps a UAV's observations in a batch of worlds to its accelerations [m/s²], shape (worlds, 2).
+"""Function that maps a UAV's observations in a batch of worlds to its accelerations [m/s²].
+
+Shape (worlds, 2); (worlds, 3) for a UAV that has an altitude.
 
 It may have a `setup`, the environment settings that define its observations (`SETUP`), and a method `fits`. `fits`
 receives the briefing, raises a ValueError if the policy was made for another UAV, and returns warnings.
@@ -32,9 +34,7 @@ SETUP: Mapping[str, Any] = {
 
 `duration` [s] is the length of its episodes; it replaces the age of a detection before the first one.
 """
-_ALLOWED = (
-    "two finite numbers for each world, here of shape (1, 2), the acceleration x and y [m/s²]"
-)
+_ALLOWED = "finite numbers of shape (1, {}), the acceleration {} [m/s²]"
 
 
 class TargetEstimate(NamedTuple):
@@ -96,6 +96,11 @@ class PolicyControl:
         length = self._setup["duration"]
         self._never = np.inf if length is None else float(length)
         self._newest = -1
+        self.sensor = uav.sensor
+        """Sensor of the UAV at its altitude."""
+        self._climbs = briefing.altitude is not None
+        self.vertical = 0.0
+        """Vertical acceleration of the last answer [m/s²]; 0 for a UAV that flies in the plane."""
         patch = self._setup["coverage_patch"]
         self._pixels, self._scale = (0, 1.0) if patch is None else (int(patch[0]), float(patch[1]))
 
@@ -119,16 +124,20 @@ class PolicyControl:
             coverage: The UAV's own coverage map. Shape (rows, columns).
 
         Raises:
-            ScenarioError: If the policy raises, or does not return two finite numbers.
+            ScenarioError: If the policy raises, or does not return two finite numbers; three for a UAV that has an
+                altitude, of which the third is `vertical`.
         """
         tick = observation.tick
         row = self._row(observation, target, coverage).astype(self._setup["dtype"])[None]
         seen = {"row": row, "coverage": self._patch(observation, coverage)} if self._pixels else row
         answer = self._asked.answer(tick, seen)
-        found = pair(answer, (1, 2))
+        count = 3 if self._climbs else 2
+        found = finite(answer, (1, count))
         if found is None or max(map(abs, found)) > LARGEST:
-            raise self._asked.invalid_answer(tick, answer, _ALLOWED)
-        return found
+            axes = "x, y and z" if self._climbs else "x and y"
+            raise self._asked.invalid_answer(tick, answer, _ALLOWED.format(count, axes))
+        self.vertical = found[2] if self._climbs else 0.0
+        return found[0], found[1]
 
     def _row(
         self, observation: UavObservation, target: TargetEstimate, coverage: FloatArray
@@ -142,11 +151,15 @@ class PolicyControl:
         seen = (0.0, 0.0, 0.0, age) if best is None else (1.0, best.x, best.y, age)
         if target.known and self._setup["estimate"]:
             seen = 1.0, x - target.x, y - target.y, target.age * self._dt
-        own = np.array((time, x, y, *observation.velocity, *seen), dtype=np.float64)
-        if not self._setup["gradient"]:
-            return clipped(UAV, own, self._area, self._dt)
-        whole = np.append(own, self._gradient(x, y, target, coverage))
-        return clipped(UAV + GRADIENT, whole, self._area, self._dt)
+        entries = [time, x, y, *observation.velocity, *seen]
+        table = UAV
+        if self._climbs:
+            entries += [observation.altitude or 0.0, observation.climb_rate]
+            table += ALTITUDE
+        if self._setup["gradient"]:
+            entries += self._gradient(x, y, target, coverage)
+            table += GRADIENT
+        return clipped(table, np.array(entries, dtype=np.float64), self._area, self._dt)
 
     def _gradient(
         self, x: float, y: float, target: TargetEstimate, coverage: FloatArray
@@ -162,7 +175,7 @@ class PolicyControl:
             target.y,
             c.density_radius,
             c.desired_coverage,
-            c.sensor,
+            self.sensor,
             c.cell,
         )
         return (u_x / size, u_y / size) if size > 0.0 else (0.0, 0.0)

@@ -38,7 +38,7 @@ _Name = Annotated[
     str,
     typer.Option(
         "--suite",
-        help="Select the suite: suite-v1 (coverage) or missions-v1 (missions).",
+        help="Select the suite: suite-v1 (coverage), missions-v1 (missions) or towns-v1 (buildings).",
     ),
 ]
 _Only = Annotated[list[str] | None, typer.Option(help="Run only this task (repeatable).")]

@@ -38,6 +38,11 @@ _BODY_OF = {len(UAV): (UAV, UAV_BODY), len(UGV): (UGV, UGV_BODY)}
 _BODY_OF[len(UAV + GRADIENT)] = (UAV + GRADIENT, UAV_BODY + GRADIENT)
 
 
+_NEEDED = (
+    "Egocentric needs the row of a UAV in the plane or of a UGV, in SI units, not {} of shape {}"
+)
+
+
 class Egocentric(Transformation):
     """Vehicle frame: origin at the vehicle, x along its velocity, y to the left.
 
@@ -72,9 +77,9 @@ class Egocentric(Transformation):
     def _row_space(self, space: spaces.Space[Any]) -> spaces.Box:
         shape, low = space.shape or (0,), getattr(space, "low", None)
         if len(shape) != 1 or shape[0] not in _BODY_OF or low is None or np.any(low[:3] != 0.0):
-            raise ValueError(
-                f"Egocentric needs a UAV's or a UGV's own row in SI units, not {type(space).__name__} of shape {shape}"
-            )
+            raise ValueError(_NEEDED.format(type(space).__name__, shape))
+        if shape[0] == len(UAV + GRADIENT) and low[-1] != -1.0:  # an altitude instead of a gradient
+            raise ValueError(_NEEDED.format(type(space).__name__, shape))
         self._table, self._body = _BODY_OF[shape[0]]
         old = cast("spaces.Box", space)
         high = by_name(self._table, old.high.astype(np.float64))

@@ -93,6 +93,8 @@ def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of seve
     uav = next((one for one in scenario.vehicles if one.name == env.agent), None)
     if not isinstance(uav, Uav):
         raise ValueError(f"agent = {env.agent!r}: not a UAV; allowed: a UAV")
+    if uav.initial_altitude is not None:
+        raise ValueError(f"agent = {env.agent!r}: has an altitude; allowed: a UAV in the plane")
     patch = options.coverage_patch
     return ObservationRecipe(
         extent={name: value for name, value in extent_of(scenario, uav).items() if name in NEEDED},

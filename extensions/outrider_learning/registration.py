@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import outrider.registration
 from outrider.registration import drawing, refuse_limit, register_names
-from outrider_learning.suite.tasks import MISSIONS, TASKS, Suite
+from outrider_learning.suite.tasks import SUITES, Suite
 
 if TYPE_CHECKING:
     from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from outrider.envs.single import SingleEnv
     from outrider.envs.vector import OutriderVectorEnv
 
-_TASKS = Suite((*TASKS, *MISSIONS))
+_TASKS = Suite(task for tasks in SUITES.values() for task in tasks)
 
 
 @drawing

@@ -122,8 +122,10 @@ class SavedPolicy:
             A warning if the area is larger than in training.
 
         Raises:
-            ValueError: If the tick length or the UAV's maximum speed differs.
+            ValueError: If the tick length or the UAV's maximum speed differs, or the UAV has an altitude.
         """
+        if briefing.altitude is not None:
+            raise ValueError("initial_altitude: the policy was trained in the plane; allowed: none")
         made, area = self._recipe.extent, briefing.area
         if self._recipe.dt is not None:
             check_made_for("dt", briefing.dt, self._recipe.dt)

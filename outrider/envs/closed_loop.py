@@ -18,7 +18,6 @@ from agents.estimation.motion_model import (
 from agents.laws.dispatch import law_memories
 from agents.safety.memory import filter_memory
 from agents.safety.safety_filter import decision_of
-from bus.errors import ScenarioError
 from bus.messages.decision import FilterDecision
 from bus.messages.links import LinkKind, LinkStatus
 from bus.messages.telemetry import MissionResult
@@ -46,20 +45,6 @@ from sim.env.settings import Settings, settings_of
 from sim.models.ground import TileArray
 from sim.models.randomness import PILOT
 from sim.scenario.types import Scenario
-
-
-def _check_plane(scenario: Scenario) -> None:
-    """Reject UAVs with an altitude, which environments and batches do not control.
-
-    Raises:
-        ScenarioError: If there is one.
-    """
-    for k, uav in enumerate(scenario.uav):
-        if uav.initial_altitude is not None:
-            raise ScenarioError(
-                f"uav.{k}.initial_altitude = {uav.initial_altitude:g}: environments fly in the plane; allowed: none "
-                "(`outrider run` flies it)"
-            )
 
 
 class ClosedLoop:
@@ -90,7 +75,6 @@ class ClosedLoop:
         **settings: Any,  # noqa: ANN401 - fields of `Settings`
     ) -> None:
         options = settings_of(settings)
-        _check_plane(scenario)
         self.scenario = scenario
         self.worlds = worlds
         self.names = tuple(vehicle.name for vehicle in scenario.vehicles)
@@ -137,7 +121,7 @@ class ClosedLoop:
         # the batch restores its own state
         self._fresh = Fresh(self.state[1:])
         self._all = np.arange(worlds)
-        self._none = np.zeros((worlds, 0, 2))
+        self._none = np.zeros((worlds, 0, 3))
         self.begin([scenario.seed], [0])
 
     def _needs_pilots(self, settings: Settings) -> bool:
@@ -175,6 +159,7 @@ class ClosedLoop:
             scripts=scripts,
             script_rows=script_rows,
             late=numbers.late,
+            heights=numbers.heights,
         )
 
     def _pilot_state(
@@ -194,6 +179,8 @@ class ClosedLoop:
         state = LoopState(
             **self.state._asdict(),
             maps=repeated(batch.state.coverage[0], worlds, uavs if parameters.own_maps else 0),
+            uavs=repeated(numbers.laws.uavs, worlds, 1)[:, 0],
+            heights=repeated(numbers.climbs, worlds, 1)[:, 0],
             laws=law_memories(numbers.laws, worlds),
             drivers=driver_memories(numbers.drivers, worlds),
             kalman=repeated(estimator_rows(depth), worlds, uavs),
@@ -248,7 +235,8 @@ class ClosedLoop:
         """Advance worlds by one tick.
 
         Args:
-            actions: Finite accelerations of the vehicles in `external` [m/s²]. Shape (worlds, len(external), 2).
+            actions: Finite accelerations of the vehicles in `external` [m/s²]: x, y, and z of UAVs that have an
+                altitude. Shape (worlds, len(external), 3).
             worlds: Worlds to advance; all by default.
         """
         self._run(self._all if worlds is None else worlds, actions, 1)

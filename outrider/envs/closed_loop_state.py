@@ -52,6 +52,22 @@ class CommandedState(NamedTuple):
     """`CertificateCounters` of each UAV. Shape (worlds, UAVs)."""
 
 
+class HeightTables(NamedTuple):
+    """Constants of the UAVs that have an altitude."""
+
+    laws: RecordArray
+    """`HeightParameters` of each UAV; empty for one that flies in the plane. Shape (UAVs,)."""
+    levels: RecordArray
+    """`SafetyBounds` of each UAV's filter by increasing floor; unused rows have an infinite floor.
+
+    Shape (UAVs, most).
+    """
+    buildings: RecordArray
+    """`BuildingRow` of the buildings that the UAVs know. Shape (buildings,)."""
+    corners: FloatArray
+    """Corners of their footprints [m]. Shape (corners, 2)."""
+
+
 class LoopTables(NamedTuple):
     """Constants of all worlds with pilots, estimates or coverage patches: extends `CommandedTables`."""
 
@@ -72,6 +88,8 @@ class LoopTables(NamedTuple):
     """`SafetyBounds` of each UAV's filter. Shape (UAVs,)."""
     monitored: RecordArray
     """`SafetyBounds` by which each UAV's certificates are counted. Shape (UAVs,)."""
+    heights: HeightTables | None
+    """None if all UAVs fly in the plane; nothing is compiled for altitudes then."""
     scripts: FloatArray
     script_rows: IntArray
     late: IntArray
@@ -86,6 +104,10 @@ class LoopState(NamedTuple):
     certificates: RecordArray
     maps: FloatArray
     """Maps of the UAVs, if they differ from the world's. Shape (worlds, UAVs or 0, rows, columns)."""
+    uavs: RecordArray
+    """`UavParameters` of each UAV, with its sensor at its altitude. Shape (worlds, UAVs)."""
+    heights: RecordArray
+    """`HeightMemory` of each UAV. Shape (worlds, UAVs)."""
     laws: Any
     """`PerLaw`: memories of the laws. Shape (worlds, UAVs) each."""
     drivers: Any

@@ -49,7 +49,7 @@ def _add_cues(
             g_y,
             world_parameters.r_o,
             world_parameters.desired,
-            world_parameters.sensor,
+            state.uavs[world, uav].sensor,
             world_parameters.cell,
         )
         if size > 0.0:

@@ -6,7 +6,7 @@ from agents.drivers.pending_stops import PLAIN, add_stops
 from agents.estimation.batch_filter import estimate
 from agents.estimation.map_updates import encode_block, map_updates_of, next_block
 from agents.laws.dispatch import nominal_command
-from agents.safety.decision import CERTIFIED, NOMINAL, decide
+from agents.safety.decision import CERTIFIED, NOMINAL
 from agents.safety.pending import add_plans
 from agents.uav_parameters import Target
 from outrider.envs.closed_loop_state import (
@@ -14,6 +14,7 @@ from outrider.envs.closed_loop_state import (
     LoopState,
     LoopTables,
 )
+from outrider.envs.height_tick import climb, filter_at
 from outrider.envs.vehicle_parts import coverage_of, filter_of, grid_of, reference_of
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
 from sim.compiling.records import RecordArray
@@ -45,22 +46,28 @@ def _fly(
     committed = state.batch.flown[world, vehicle, 0].begins
     if tables.action_row[vehicle] < 0:
         coverage = coverage_of(parameters, state, world, uav)
+        own = state.uavs[world, uav]
         u_x, u_y = nominal_command(
-            tables.laws, state.laws, (world, uav), coverage, tick, here, target
+            tables.laws, own, state.laws, (world, uav), coverage, tick, here, target
         )
+        u_z = climb(tables.heights, state, (world, uav), one, here, coverage, target)
     else:
-        u_x, u_y = actions[tables.action_row[vehicle], 0], actions[tables.action_row[vehicle], 1]
+        action = actions[tables.action_row[vehicle]]
+        u_x, u_y, u_z = action[0], action[1], action[2]
     if filtered:
         memory = filter_of(tables, state.filters, world, uav)
-        decide(tables.safety[uav], memory, tick, here, u_x, u_y, committed)
+        wanted, bounds = (u_x, u_y, u_z), tables.safety[uav]
+        filter_at(tables.heights, uav, bounds, memory, tick, here, one, wanted, committed)
         decision = memory.decision[0]
         u_x, u_y = decision.acceleration[0], decision.acceleration[1]
+        u_z = decision.vertical_acceleration
         certified, overridden = decision.reason == CERTIFIED, decision.source != NOMINAL
         # a pilot without a detection sends no report
         reports = target.known or tables.action_row[vehicle] >= 0
         claim = Claim(certified, reports and overridden, standing.lost, True)
         record_decision(tables.monitored[uav], state.certificates[world, uav], tick, claim)
     one.outgoing_tick, one.outgoing[0], one.outgoing[1] = tick, u_x, u_y
+    one.vertical.outgoing = u_z
     if filtered:
         one.outgoing_motion, one.outgoing_motions = add_plans(
             tables.safety[uav],
@@ -164,3 +171,4 @@ def apply_actions(
         one = vehicles[world, v]
         one.outgoing_tick = tick
         one.outgoing[0], one.outgoing[1] = actions[action_row[v], 0], actions[action_row[v], 1]
+        one.vertical.outgoing = actions[action_row[v], 2]

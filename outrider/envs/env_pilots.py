@@ -92,6 +92,9 @@ class _EnvPilots:
         fields |= {"position": position, "velocity": velocity}
         fields |= {"tile_reports": world.seen_ground(row), "committed_trajectory": world.flown(row)}
         if isinstance(pilot, UavPilot):
+            own = world.vertical[row]
+            if own["flies"]:
+                fields |= {"altitude": float(own["altitude"]), "climb_rate": float(own["rate"])}
             uav = [uav.name for uav in world.uavs].index(name)
             return pilot.act(UavObservation(**fields, detections=world.received(uav)))
         radio, blocks = _radioed(world, self._env.worlds.loop.batch, self._escorts[name])

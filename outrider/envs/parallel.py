@@ -37,6 +37,13 @@ Action = npt.ArrayLike | UavCommand | UgvCommand
 """Acceleration [m/s²], or the command of a pilot, which may also carry backup trajectories and a route."""
 
 
+def _acceleration(action: Action, length: int) -> npt.ArrayLike:
+    """Return the acceleration of an action with this number of entries; that of an array is the array."""
+    if isinstance(action, UavCommand):
+        return (*action.acceleration, action.vertical_acceleration)[:length]
+    return action.acceleration if isinstance(action, UgvCommand) else action
+
+
 @with_tables
 class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     """A UAV escorts a UGV, covers as much ground around it as possible, and never loses sight of it.
@@ -46,6 +53,10 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     row and nothing else; the complete true state is in `state()`. A UAV observes
 
     <!-- generated: uav_observation -->
+
+    after these, if it has an altitude,
+
+    <!-- generated: altitude_observation -->
 
     and a UGV
 
@@ -105,7 +116,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """Secret that, with the seed, determines all random numbers. For the creator, not for policies."""
         self._np_random: np.random.Generator | None = None
         self._world: World | None = None
-        self._actions = np.zeros((1, len(self.possible_agents), 2))
+        self._actions = np.zeros((1, len(self.possible_agents), 3))
         self._view = (
             None if render_mode is None else Rendering(render_mode, self.metadata["render_fps"])
         )
@@ -164,14 +175,15 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """Advance all vehicles by one tick.
 
         Args:
-            actions: An acceleration [m/s²] for each agent, two finite numbers, or a pilot's command.
+            actions: An acceleration [m/s²] for each agent, two finite numbers (three for a UAV that has an altitude),
+                or a pilot's command.
 
         Returns:
             Observations, rewards, terminations, truncations and infos by agent.
 
         Raises:
             ResetNeeded: If no episode is running.
-            ValueError: If an action is missing, belongs to no agent, or is not two finite numbers; the state is
+            ValueError: If an action is missing, belongs to no agent, or does not hold finite numbers; the state is
                 unchanged then.
         """
         world, loop = self.world, self.worlds.loop
@@ -195,17 +207,19 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             self._infos(),
         )
 
-    def _taken(self, actions: Mapping[str, Action]) -> list[tuple[float, float]]:
+    def _taken(self, actions: Mapping[str, Action]) -> list[list[float]]:
+        lengths = {name: self.worlds.action_lengths[name] for name in self.possible_agents}
         plain = {
-            name: action.acceleration if isinstance(action, (UavCommand, UgvCommand)) else action
-            for name, action in actions.items()
+            name: _acceleration(action, lengths.get(name, 0)) for name, action in actions.items()
         }
-        return list(take_actions(plain, self.possible_agents).values())
+        return take_actions(plain, lengths)
 
     def _carry(self, world: World, name: str, command: UavCommand | UgvCommand) -> None:
         """Apply the other parts of a command: backup trajectories, a claim and a route."""
         vehicle = world.names.index(name)
-        world.send(vehicle, world.tick, command.acceleration, command.backup_trajectories)
+        vertical = getattr(command, "vertical_acceleration", 0.0)
+        plans = command.backup_trajectories
+        world.send(vehicle, world.tick, command.acceleration, plans, vertical)
         if isinstance(command, UgvCommand):
             world.record_claim(vehicle, command.report)
             if command.route is not None and self._view is not None:

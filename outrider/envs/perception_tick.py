@@ -3,14 +3,16 @@
 from agents.drivers.tile_map import record_block, record_tiles
 from agents.estimation.batch_filter import update as update_estimate
 from agents.estimation.map_updates import BLOCK_TILES, decode_tile, map_updates_of, record_tile
-from agents.estimation.perception import uav_perceive
+from agents.estimation.perception import add_detections
 from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
+from outrider.envs.height_tick import occlusion_at
 from outrider.envs.vehicle_parts import coverage_of, filter_of, grid_of, reference_of
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED, Packet
 from sim.compiling.compile import inlined
 from sim.engine.ground_state import GroundState
 from sim.engine.mission import receive_block
+from sim.models.field import accumulate
 
 
 @inlined
@@ -99,7 +101,8 @@ def perceive(
     detections = state.detections[world]
     looked = 1 if parameters.own_maps and tick > 0 else 0  # otherwise the world updates the map
     for u in range(escorts.shape[0]):
-        here = reference_of(state.batch.vehicles[world, escorts[u, 0]])
+        vehicle, uav = state.batch.vehicles[world, escorts[u, 0]], state.uavs[world, u]
+        here, occlusion = reference_of(vehicle), occlusion_at(tables.heights, uav, u, vehicle)
         if ground is not None:
             _record_reports(parameters, state, ground, world, u, escorts[u, 0])
         arrived = state.batch.links[world, u].arrived
@@ -110,19 +113,12 @@ def perceive(
                 packet.vector[0],
                 packet.vector[1],
             )
-        if looked > 0 or tables.filtered[u]:
-            uav_perceive(
-                tables.laws.uavs[u],
-                tables.safety[u],
-                tables.filtered[u] != 0,
-                coverage_of(parameters, state, world, u),
-                filter_of(tables, state.filters, world, u),
-                looked,
-                tick,
-                here,
-                detections,
-                arrived,
-            )
+        if looked > 0:
+            grid, dt = coverage_of(parameters, state, world, u), looked * uav.dt
+            accumulate(grid, here.p_x, here.p_y, uav.sensor, uav.cell, dt, occlusion)
+        if tables.filtered[u]:
+            memory = filter_of(tables, state.filters, world, u)
+            add_detections(tables.safety[u], memory, tick, here, detections, arrived)
         if tables.estimating[u]:
             numbers, place = tables.kalman[u], (world, u)
             update_estimate(numbers, state.kalman, place, tick, here, detections, arrived)

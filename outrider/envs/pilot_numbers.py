@@ -1,5 +1,6 @@
 """Parameters of all pilots of a closed loop, in tables."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar, cast
 
@@ -14,9 +15,10 @@ from agents.estimation.motion_model import (
     KalmanParameters,
     kalman_parameters,
 )
+from agents.height import HeightMemory, HeightParameters, height_memory, height_parameters
 from agents.laws.dispatch import CODES, law_tables
 from agents.laws.selection import SelectedLaw
-from agents.safety.levels import bounds_of
+from agents.safety.levels import bounds_of, levels_of
 from agents.safety.memory import track_ticks
 from agents.uav_parameters import uav_parameters
 from bus.errors import ScenarioError
@@ -24,13 +26,12 @@ from bus.messages.scenario import Law
 from bus.messages.vehicle import UavBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
 from bus.ticks import radio_ticks
-from outrider.envs.closed_loop_state import (
-    LoopParameters,
-)
-from sim.compiling.records import records
+from outrider.envs.closed_loop_state import HeightTables, LoopParameters
+from sim.compiling.records import fill, fresh, record_type, records
 from sim.engine.briefing import uav_briefing, ugv_briefing
 from sim.env.patch import given_patch
 from sim.env.settings import Settings
+from sim.models.buildings import building_table
 from sim.models.safety import SafetyBounds
 from sim.scenario.types import Scenario
 
@@ -81,13 +82,28 @@ def loop_parameters(scenario: Scenario, settings: Settings, *, radio: bool) -> L
     return LoopParameters(
         estimate=settings.estimate,
         gradient=settings.gradient,
-        own_maps=len(scenario.uav) > 1 or scenario.disturbed,
+        own_maps=len(scenario.uav) > 1 or scenario.disturbed or scenario.has_altitude,
         radio=radio,
         radio_ticks=radio_ticks(dt),
         map_update_ticks=map_update_ticks(ground.map_update_rate, dt) if scenario.has_ground else 0,
         tile=float(ground.tile) if scenario.has_ground else 0.0,
         meters_per_pixel=float(patch.meters_per_pixel) if patch else 1.0,
     )
+
+
+def height_tables(briefings: Sequence[UavBriefing]) -> HeightTables:
+    """Return the tables of UAVs of which at least one has an altitude."""
+    laws = np.zeros(len(briefings), record_type(HeightParameters))
+    tables = [levels_of(one) for one in briefings]
+    most = max(map(len, tables))
+    levels = np.zeros((len(briefings), most), tables[0].dtype)
+    for k, (briefing, table) in enumerate(zip(briefings, tables, strict=True)):
+        levels[k], levels["floor"][k] = table[-1], math.inf
+        levels[k, : len(table)] = table
+        if briefing.altitude is not None:
+            fill(laws[k], height_parameters(briefing, uav_parameters(briefing)))
+    known = building_table([(one.corners, one.height) for one in briefings[0].buildings])
+    return HeightTables(laws, levels, *known)
 
 
 class PilotNumbers:
@@ -119,6 +135,11 @@ class PilotNumbers:
         self.longest = max((bounds.delay_ticks for bounds in safety), default=0)
         self.track = max((track_ticks(bounds) for bounds in safety), default=1)
         self.safety = records(SafetyBounds, safety)
+        self.climbs = np.concatenate(
+            [fresh(HeightMemory, (0,)), *map(height_memory, uav_briefings)]
+        )
+        """`HeightMemory` of each UAV at the start. Shape (UAVs,)."""
+        self.heights = height_tables(uav_briefings) if scenario.has_altitude else None
         self.kalman = records(
             KalmanParameters,
             [

@@ -80,14 +80,14 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         """Advance the vehicle by one tick.
 
         Args:
-            action: Acceleration [m/s²], two finite numbers.
+            action: Acceleration [m/s²], two finite numbers; three for a UAV that has an altitude.
 
         Returns:
             Observation, reward, termination, truncation, and info.
 
         Raises:
             ResetNeeded: If no episode is running.
-            ValueError: If the action is not two finite numbers; the state is unchanged then.
+            ValueError: If the action does not hold finite numbers; the state is unchanged then.
         """
         if self._over:
             when = (
@@ -96,8 +96,9 @@ class SingleEnv(gymnasium.Env[Any, Any]):
                 else "before reset()"
             )
             raise ResetNeeded(f"step() {when}")
-        taken = take_actions({self.agent: action}, [self.agent])
-        self._over = bool(self.worlds.step({self.agent: [taken[self.agent]]})[0])
+        length = self.worlds.action_lengths[self.agent]
+        (taken,) = take_actions({self.agent: action}, {self.agent: length})
+        self._over = bool(self.worlds.step({self.agent: [taken[:length]]})[0])
         (terminated,), (truncated,) = (flags.tolist() for flags in self.worlds.ends())
         return (
             self._observation(),

@@ -105,11 +105,11 @@ class OutriderVectorEnv(VectorEnv):
         """Advance the vehicle by one tick in every world.
 
         Args:
-            actions: Accelerations [m/s²], finite. Shape (num_envs, 2).
+            actions: Accelerations [m/s²], finite. Shape (num_envs, 2); (num_envs, 3) for a UAV that has an altitude.
 
         Raises:
             ResetNeeded: Before the first reset.
-            ValueError: If the actions are not two finite numbers for each world; the state is unchanged then.
+            ValueError: If the actions are not finite numbers of this shape; the state is unchanged then.
         """
         stepped, one = self.worlds.step_with_autoreset({self.agent: actions}), self.agent
         observations, rewards, terminations, truncations, infos = stepped
@@ -197,14 +197,15 @@ class OutriderParallelVectorEnv:
         """Advance all vehicles by one tick in every world.
 
         Args:
-            actions: Accelerations [m/s²] of each agent. Shape (num_envs, 2) each.
+            actions: Accelerations [m/s²] of each agent. Shape (num_envs, 2) each; (num_envs, 3) for a UAV that has an
+                altitude.
 
         Returns:
             Observations, rewards, terminations, truncations and infos by agent; all agents of a world end together.
 
         Raises:
             ResetNeeded: Before the first reset.
-            ValueError: If an agent's actions are missing or not two finite numbers for each world; the state is
+            ValueError: If an agent's actions are missing or not finite numbers of this shape; the state is
                 unchanged then.
         """
         return self.worlds.step_with_autoreset(actions)

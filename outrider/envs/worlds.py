@@ -17,7 +17,7 @@ from agents.safety.decision import CERTIFIED, NOMINAL
 from bus.messages.base import or_infinite
 from bus.messages.links import LinkStatus
 from bus.messages.telemetry import MissionResult
-from bus.observations import GRADIENT, UAV, as_rows
+from bus.observations import as_rows
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.pilot_numbers import pilot_names
 from sim.compiling.compile import FloatArray, IntArray
@@ -105,10 +105,14 @@ class Worlds:
             **settings,
         )
         """Closed loop of the worlds."""
-        self.action_spaces = {v.name: action_space(v) for v in self.scenario.vehicles}
+        self.action_spaces = {
+            v.name: action_space(self.scenario, v) for v in self.scenario.vehicles
+        }
+        self.action_lengths = {name: one.shape[0] for name, one in self.action_spaces.items()}
+        """Number of entries of an action, by vehicle."""
         self.observation_spaces = self._format.spaces
         self._seeds = [Seeds(self.scenario.seed + k) for k in range(self.num_envs)]
-        self._actions: FloatArray = np.zeros((self.num_envs, len(self._external), 2))
+        self._actions: FloatArray = np.zeros((self.num_envs, len(self._external), 3))
         self.has_episode = False
         """True after the first reset."""
         self._view = None if render_mode is None else BatchRendering(self.loop.batch)
@@ -144,9 +148,8 @@ class Worlds:
             known = loop.known_tiles(name) if form.tile_patch else None
             row = as_rows(loop.state.rows.ugv_rows)[:, loop.ugvs.index(name)]
             return form.shown(name, row, known=known)
-        width = len(UAV) + (len(GRADIENT) if self.settings.gradient else 0)
         coverage = None if form.patch is None else loop.patch(name)
-        row = as_rows(loop.state.rows.uav_rows)[:, loop.uavs.index(name), :width]
+        row = as_rows(loop.state.rows.uav_rows)[:, loop.uavs.index(name), form.columns[name]]
         return form.shown(name, row, coverage=coverage)
 
     def standings(self, name: str) -> RecordArray:
@@ -252,7 +255,8 @@ class Worlds:
         """Advance worlds by one tick, without automatic resets.
 
         Args:
-            actions: Accelerations of each learner [m/s²]. Shape (num_envs, 2) each.
+            actions: Accelerations of each learner [m/s²]. Shape (num_envs, 2) each; (num_envs, 3) for a UAV that has an
+                altitude.
             which: Worlds to advance; all by default. The others do not change.
 
         Returns:
@@ -260,8 +264,8 @@ class Worlds:
 
         Raises:
             ResetNeeded: Before the first reset.
-            ValueError: If an action is missing, belongs to no learner, or is not two finite numbers for each world; the
-                state is unchanged then.
+            ValueError: If an action is missing, belongs to no learner, or does not hold finite numbers of this shape;
+                the state is unchanged then.
         """
         if not self.has_episode:
             raise ResetNeeded("step() before reset()")
@@ -270,19 +274,21 @@ class Worlds:
             raise ValueError(
                 f"actions for: {given}; allowed: one for each of {', '.join(self.learners)}"
             )
-        taken = [take_batch(name, actions[name], self.num_envs) for name in self.learners]
+        taken = [self._taken(name, actions[name]) for name in self.learners]
         taken += [
-            take_batch(name, policy(self.observe(name)), self.num_envs)
-            for name, policy in self._policies.items()
+            self._taken(name, policy(self.observe(name))) for name, policy in self._policies.items()
         ]
         for place, action in enumerate(taken):
-            self._actions[:, place] = action
+            self._actions[:, place, : action.shape[1]] = action
         self.loop.step(self._actions, which)
         if self._view is not None:
             self._view.follow()
         rows = self.loop.state.rows
         ended: BoolArray = (rows.terminated | rows.truncated) != 0
         return ended
+
+    def _taken(self, name: str, actions: npt.ArrayLike) -> FloatArray:
+        return take_batch(name, actions, self.num_envs, self.action_lengths[name])
 
     def rewards(self, name: str) -> FloatArray:
         """Return the rewards of the last tick. Shape (num_envs,)."""

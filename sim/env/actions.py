@@ -1,6 +1,6 @@
 """Checks of the agents' actions, which become the world's commands."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,42 +12,51 @@ LARGEST = 1e6
 """Largest component of an action [m/s²]; the same limit as on the bus."""
 
 
-def take_actions(
-    actions: Mapping[str, npt.ArrayLike], names: Sequence[str]
-) -> dict[str, tuple[float, float]]:
-    """Check each agent's action and return it as plain numbers [m/s²].
+Lengths = Mapping[str, int]
+"""Number of entries of an action by agent: 2, or 3 for a UAV that has an altitude."""
+
+_COUNTS = {2: "two", 3: "three"}
+_MEANINGS = {2: "the acceleration x and y [m/s²]", 3: "the acceleration x, y and z [m/s²]"}
+
+
+def take_actions(actions: Mapping[str, npt.ArrayLike], lengths: Lengths) -> list[list[float]]:
+    """Check each agent's action and return them as plain numbers [m/s²], in the order of `lengths`.
 
     Args:
         actions: Acceleration of each agent [m/s²].
-        names: Names of the agents.
+        lengths: Agents, and the number of entries of their actions.
+
+    Returns:
+        Three numbers for each agent; the third is 0 for a vehicle without an altitude.
 
     Raises:
-        ValueError: If an action is missing, belongs to no agent, or is not two finite numbers.
+        ValueError: If an action is missing, belongs to no agent, or is not two (three) finite numbers.
     """
-    if len(actions) != len(names) or any(name not in actions for name in names):
+    if len(actions) != len(lengths) or any(name not in actions for name in lengths):
         given = ", ".join(map(str, actions)) or "none"
-        raise ValueError(f"actions for: {given}; required: one for each of {', '.join(names)}")
-    taken = {}
-    for name in names:
-        x, y = _pair(name, actions[name])
-        if not (-LARGEST <= x <= LARGEST and -LARGEST <= y <= LARGEST):
+        raise ValueError(f"actions for: {given}; required: one for each of {', '.join(lengths)}")
+    taken = []
+    for name, length in lengths.items():
+        values = _numbers(name, actions[name], length)
+        if not all(-LARGEST <= value <= LARGEST for value in values):
             raise ValueError(
-                f"action of {name} = [{x}, {y}]: not in range; allowed: two finite numbers of at most {LARGEST:g} m/s²"
+                f"action of {name} = {values}: not in range; allowed: {_COUNTS[length]} finite numbers of at most "
+                f"{LARGEST:g} m/s²"
             )
-        taken[name] = x, y
+        taken.append([*values, 0.0][:3])
     return taken
 
 
-def _pair(name: str, action: npt.ArrayLike) -> list[float]:
-    if isinstance(action, np.ndarray) and action.shape == (2,) and action.dtype.kind == "f":
+def _numbers(name: str, action: npt.ArrayLike, length: int) -> list[float]:
+    if isinstance(action, np.ndarray) and action.shape == (length,) and action.dtype.kind == "f":
         plain: list[float] = action.tolist()
         return plain
-    pair = _array(action)
-    if pair.shape != (2,) or pair.dtype.kind not in "fiu":
+    given = _array(action)
+    if given.shape != (length,) or given.dtype.kind not in "fiu":
         raise ValueError(
-            f"action of {name} = {action!r}: not a vector; allowed: two numbers, the acceleration x and y [m/s²]"
+            f"action of {name} = {action!r}: not a vector; allowed: {_COUNTS[length]} numbers, {_MEANINGS[length]}"
         )
-    values: list[float] = pair.astype(np.float64).tolist()
+    values: list[float] = given.astype(np.float64).tolist()
     return values
 
 
@@ -59,23 +68,23 @@ def _array(given: npt.ArrayLike) -> npt.NDArray[Any]:
         return np.empty(0, dtype=object)
 
 
-def take_batch(name: str, actions: npt.ArrayLike, worlds: int) -> FloatArray:
-    """Check one vehicle's actions in many worlds. Shape (worlds, 2).
+def take_batch(name: str, actions: npt.ArrayLike, worlds: int, length: int) -> FloatArray:
+    """Check one vehicle's actions in many worlds. Shape (worlds, length).
 
     Raises:
-        ValueError: If they are not two finite numbers for each world.
+        ValueError: If they are not finite numbers of this shape.
     """
-    pairs = _array(actions)
-    if pairs.shape != (worlds, 2) or pairs.dtype.kind not in "fiu":
-        what = f"an array of shape {pairs.shape} and type {pairs.dtype}"
+    given = _array(actions)
+    if given.shape != (worlds, length) or given.dtype.kind not in "fiu":
+        what = f"an array of shape {given.shape} and type {given.dtype}"
         raise ValueError(
-            f"actions of {name}: {what}; allowed: ({worlds}, 2) numbers, the acceleration x and y [m/s²] in each world"
+            f"actions of {name}: {what}; allowed: ({worlds}, {length}) numbers, {_MEANINGS[length]} in each world"
         )
-    values: FloatArray = pairs.astype(np.float64, copy=False)
+    values: FloatArray = given.astype(np.float64, copy=False)
     if not np.abs(values).max() <= LARGEST:
         worst = int(np.flatnonzero(~(np.abs(values) <= LARGEST).all(axis=1))[0])
         where = f"action of {name} in world {worst} = {values[worst].tolist()}"
         raise ValueError(
-            f"{where}: not in range; allowed: two finite numbers of at most {LARGEST:g} m/s²"
+            f"{where}: not in range; allowed: {_COUNTS[length]} finite numbers of at most {LARGEST:g} m/s²"
         )
     return values

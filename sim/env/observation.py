@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from bus.observations import GRADIENT, UAV, UGV, Row, bounds, names
+from bus.observations import ALTITUDE, GRADIENT, UAV, UGV, Row, Table, bounds, names
 from sim.env.patch import check_tile_patch, given_patch
 from sim.env.settings import Settings
 from sim.env.spaces import box, extent_of
@@ -25,11 +25,17 @@ def one_of_world(seen: AgentObservation, k: int) -> AgentObservation:
     return {key: array[k] for key, array in seen.items()} if isinstance(seen, dict) else seen[k]
 
 
+def uav_table(*, altitude: bool, gradient: bool) -> Table:
+    """Return the entries of a UAV's row, which are those of `sim.env.rows.RowState.uav_rows` in the same order."""
+    return UAV + (ALTITUDE if altitude else ()) + (GRADIENT if gradient else ())
+
+
 def uav_space(
     extent: dict[str, float],
     *,
     estimate: bool,
     gradient: bool,
+    altitude: bool = False,
     pixels: int,
     dtype: type[np.floating],
 ) -> spaces.Space[Any]:
@@ -38,11 +44,11 @@ def uav_space(
     Args:
         extent: Values of `bus.observations.SYMBOLS`.
         estimate, gradient, dtype: As in `sim.env.settings.Settings`.
+        altitude: True for a UAV that has an altitude.
         pixels: Pixels per side of the picture of its map; 0: no picture.
     """
-    low, high = bounds(UAV, extent | ({"d_max": extent["D"]} if estimate else {}))
-    least, largest = bounds(GRADIENT, {}) if gradient else ([], [])
-    row = box(low + least, high + largest, dtype)
+    table = uav_table(altitude=altitude, gradient=gradient)
+    row = box(*bounds(table, extent | ({"d_max": extent["D"]} if estimate else {})), dtype)
     if not pixels:
         return row
     return spaces.Dict({"row": row, "coverage": spaces.Box(0.0, 1.0, (pixels, pixels), dtype)})
@@ -78,7 +84,15 @@ class ObservationFormat:
             for vehicle in scenario.vehicles
         }
         """Space of an observation in one world, by vehicle."""
+        full = names(uav_table(altitude=True, gradient=True))
+        self.columns = {
+            uav.name: [full.index(name) for name in names(self._table(uav))] for uav in scenario.uav
+        }
+        """Columns of each UAV's row in `sim.env.rows.RowState.uav_rows`."""
         self._bounds = {name: _row_bounds(space) for name, space in self.spaces.items()}
+
+    def _table(self, uav: Uav) -> Table:
+        return uav_table(altitude=uav.initial_altitude is not None, gradient=self._gradient)
 
     def _space(self, vehicle: Uav | Ugv, extent: dict[str, float]) -> spaces.Space[Any]:
         if isinstance(vehicle, Ugv):
@@ -86,7 +100,8 @@ class ObservationFormat:
             tiles = spaces.Box(0, OUTSIDE, (side, side), np.uint8)
             return spaces.Dict({"row": row, "tiles": tiles}) if side else row
         pixels = 0 if self.patch is None else self.patch.pixels
-        cues = {"estimate": self._estimate, "gradient": self._gradient}
+        altitude = vehicle.initial_altitude is not None
+        cues = {"estimate": self._estimate, "gradient": self._gradient, "altitude": altitude}
         return uav_space(extent, pixels=pixels, dtype=self.dtype, **cues)
 
     def shown(

@@ -7,7 +7,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from bus.observations import GRADIENT, UAV, UGV, record_type
+from bus.observations import ALTITUDE, GRADIENT, UAV, UGV, record_type
 from sim.channel.link_records import ARRIVED
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
 from sim.compiling.records import RecordArray, fresh, records
@@ -89,7 +89,7 @@ class RowState(NamedTuple):
     standings: RecordArray
     """`Standing`. Shape (worlds, vehicles)."""
     uav_rows: RecordArray
-    """`bus.observations.UAV`, and `GRADIENT`, which the caller fills. Shape (worlds, UAVs)."""
+    """`bus.observations.UAV`, `ALTITUDE`, and `GRADIENT`, which the caller fills. Shape (worlds, UAVs)."""
     ugv_rows: RecordArray
     """`bus.observations.UGV`. Shape (worlds, UGVs)."""
     terminated: IntArray
@@ -127,7 +127,7 @@ def row_state(tables: RowTables, worlds: int) -> RowState:
     vehicles, ugvs = len(tables.place), int((tables.place < 0).sum())
     return RowState(
         standings=fresh(Standing, (worlds, vehicles)),
-        uav_rows=np.zeros((worlds, vehicles - ugvs), dtype=record_type(UAV + GRADIENT)),
+        uav_rows=np.zeros((worlds, vehicles - ugvs), dtype=record_type(UAV + ALTITUDE + GRADIENT)),
         ugv_rows=np.zeros((worlds, ugvs), dtype=record_type(UGV)),
         terminated=np.zeros(worlds, dtype=np.int64),
         truncated=np.zeros(worlds, dtype=np.int64),
@@ -282,6 +282,7 @@ def _observe_uav(
     time, newest = bs.ticks[world] * dt, state.standings[world, bt.escorts[uav, 0]].newest
     row.time, row.x, row.y = time, position[0], position[1]
     row.vx, row.vy = velocity[0], velocity[1]
+    row.altitude, row.climb_rate = vehicle.vertical.altitude, vehicle.vertical.rate
     row.detected, row.relative_x, row.relative_y = 0.0, 0.0, 0.0
     row.age = tables.episode[0].ticks * dt if newest < 0.0 else time - newest * dt
     best = bs.packets[world, uav, ARRIVED, 0]

@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium import spaces
 
 from bus.observations import ROUNDING, largest
-from sim.scenario.types import Scenario, Uav, Ugv
+from sim.scenario.types import Scenario, Uav, Ugv, altitude_limits
 
 FREE_ACCELERATION = 10.0
 """Bound of the action space for an unbounded acceleration [m/s²]: about gravity."""
@@ -23,12 +23,15 @@ def extent_of(scenario: Scenario, vehicle: Uav | Ugv) -> dict[str, float]:
     sight = max(scenario.sensor.range, scenario.visibility.radius) + (
         noise * scenario.detections.truncation if noise > 0.0 else 0.0
     )
+    own = altitude_limits(scenario, vehicle) if isinstance(vehicle, Uav) else None
     return most | {
         "T": scenario.ticks * scenario.dt,
         "W": area.width,
         "H": area.height,
         "v_max": min(vehicle.max_speed * ROUNDING, most["v_max"]),
         "d_max": min(sight * ROUNDING, most["d_max"]),
+        "z_max": 0.0 if own is None else own.max_altitude,
+        "w_max": 0.0 if own is None else own.max_climb_rate,
         "E": 2.0 * scenario.coverage.desired**2 * area.width * area.height,
     }
 
@@ -48,11 +51,18 @@ def box(low: Sequence[float], high: Sequence[float], dtype: type[np.floating]) -
     return spaces.Box(np.array(low, dtype=dtype), np.array(high, dtype=dtype), dtype=dtype)
 
 
-def action_space(vehicle: Uav | Ugv) -> spaces.Box:
-    """Return the square [-u_max, u_max]² [m/s²]; the world shortens vectors that are longer than u_max."""
+def action_space(scenario: Scenario, vehicle: Uav | Ugv) -> spaces.Box:
+    """Return the square [-u_max, u_max]² [m/s²]; the world shortens vectors that are longer than u_max.
+
+    A UAV that has an altitude has a third entry, its vertical acceleration [m/s²].
+    """
     limit = (
         FREE_ACCELERATION
         if math.isinf(vehicle.max_acceleration)
         else float(vehicle.max_acceleration)
     )
-    return box([-limit, -limit], [limit, limit], np.float64)
+    most = [limit, limit]
+    own = altitude_limits(scenario, vehicle) if isinstance(vehicle, Uav) else None
+    if own is not None:
+        most.append(own.max_vertical_acceleration)
+    return box([-one for one in most], most, np.float64)

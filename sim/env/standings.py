@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from bus.observations import UAV_STATE, UGV_STATE, Row, Table, as_rows
+from bus.observations import ALTITUDE, UAV, UAV_STATE, UGV_STATE, Row, Table, as_rows
 from sim.env.rewards import MISSION_TERMS, UAV_TERMS, UGV_TERMS
 from sim.env.rows import RowState, RowTables
 from sim.scenario.types import Scenario, Ugv
@@ -25,7 +25,9 @@ class Standings:
         self._numbers = {name: number for number, name in enumerate(names)}
         self._places: dict[str, int] = dict(zip(names, tables.place.tolist(), strict=True))
         self.state_rows: dict[str, Table] = {
-            vehicle.name: UGV_STATE if isinstance(vehicle, Ugv) else UAV_STATE
+            vehicle.name: UGV_STATE
+            if isinstance(vehicle, Ugv)
+            else UAV_STATE + (() if vehicle.initial_altitude is None else ALTITUDE)
             for vehicle in scenario.vehicles
         }
         """Entries of the state of each vehicle."""
@@ -49,7 +51,9 @@ class Standings:
             time, truly = row[0], self._standing(name)
             late = self._tables.episode["ticks"].item() * self._dt
             age = time - truly["newest"] * self._dt if truly["newest"] >= 0.0 else late
-            return [*row[1:5], truly["distance"], truly["error"], age]
+            higher = len(self.state_rows[name]) - len(UAV_STATE)
+            own = row[len(UAV) : len(UAV) + higher]
+            return [*row[1:5], truly["distance"], truly["error"], age, *own]
         truth: list[float] = row[1:]
         return truth
 

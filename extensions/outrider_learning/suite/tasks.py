@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sim.scenario.types import Scenario
 
 BASE = "escort"
-"""Shipped scenario of every task except the missions."""
+"""Shipped scenario of the tasks of `suite-v1`."""
 
 NO_ESCORT = "none"
 """Mission entry without an escort: the UGV relies on its own sensor."""
@@ -246,6 +246,30 @@ MISSIONS: tuple[Task, ...] = tuple(_missions())
 """Ground with hazards, over a perfect and a degraded network."""
 
 
+TOWNS: tuple[Task, ...] = (
+    Task(
+        name="town",
+        hard="streets between blocks of up to 5 m, other ones for each seed",
+        changes={},
+        base="town",
+    ),
+    Task(
+        name="courtyard",
+        hard="a courtyard whose wings of 6 m are higher than the UAV sees over from far away",
+        changes={},
+        base="courtyard",
+    ),
+    Task(
+        name="rescue-town",
+        hard="eight objects to find between the blocks of a town",
+        changes={},
+        base="rescue-town",
+        mission=True,
+    ),
+)
+"""Buildings, seen by a UAV that has an altitude: two tasks of coverage, and a mission."""
+
+
 class Suite(tuple[Task, ...]):
     """Tasks by index or by name."""
 
@@ -276,8 +300,12 @@ class Suite(tuple[Task, ...]):
         return tuple(task.name for task in self)
 
 
-SUITE, MISSION_SUITE = "suite-v1", "missions-v1"
-SUITES: Mapping[str, tuple[Task, ...]] = {SUITE: TASKS, MISSION_SUITE: MISSIONS}
+SUITE, MISSION_SUITE, TOWN_SUITE = "suite-v1", "missions-v1", "towns-v1"
+SUITES: Mapping[str, tuple[Task, ...]] = {
+    SUITE: TASKS,
+    MISSION_SUITE: MISSIONS,
+    TOWN_SUITE: TOWNS,
+}
 """Suites by name. A numbered suite never changes; changes go into the next one."""
 
 

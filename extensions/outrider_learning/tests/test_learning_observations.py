@@ -246,7 +246,7 @@ def test_what_does_not_fit_is_refused_in_one_line() -> None:
         gymnasium.spaces.Discrete(3),
         bound(Egocentric(), uav_space()).space(uav_space()),
     ):
-        with refused(ValueError, "Egocentric needs a UAV's or a UGV's own row in SI units"):
+        with refused(ValueError, "Egocentric needs the row of a UAV in the plane"):
             Egocentric().space(space)
     for length in (0, -1, 2.5, None):
         with refused(ValueError, "length = .*: not a positive integer"):

@@ -1,5 +1,7 @@
 """The tasks' names in Gymnasium and PettingZoo."""
 
+import hashlib
+
 import gymnasium
 import numpy as np
 import pettingzoo
@@ -8,15 +10,17 @@ import pytest
 from outrider.envs.single import SingleEnv
 from outrider.envs.vector import OutriderVectorEnv
 from outrider_learning.registration import register
-from outrider_learning.suite.tasks import MISSIONS, TASKS
+from outrider_learning.suite.tasks import SUITES, TASKS
 from processes import python
+from sim.scenario.resolved import as_toml
 
-ENV_IDS = {task.env_id for task in (*TASKS, *MISSIONS)}
+ALL = [task for tasks in SUITES.values() for task in tasks]
+ENV_IDS = {task.env_id for task in ALL}
 NOISE = "outrider/Suite-Noise-v0"
 
 
 def test_there_is_a_name_for_each_task() -> None:
-    assert len(ENV_IDS) == len(TASKS) + len(MISSIONS)
+    assert len(ENV_IDS) == len(ALL)
     for task in TASKS:
         made = gymnasium.make(task.env_id).unwrapped
         assert isinstance(made, SingleEnv)
@@ -49,3 +53,17 @@ def test_a_name_with_its_module_needs_no_import() -> None:
     loaded, made = python(code).stdout.splitlines()
     assert {"numba", "sim", "agents", "zenoh", "pettingzoo"}.isdisjoint(loaded.split())
     assert made == "noise"
+
+
+FROZEN = {
+    "suite-v1": "da0f907e2bec1b22",
+    "missions-v1": "f5c1b726fddefe93",
+    "towns-v1": "84f04773fdc47c74",
+}
+"""SHA-256 of the scenarios of each suite: the first 16 digits."""
+
+
+@pytest.mark.parametrize("name", SUITES)
+def test_a_numbered_suite_never_changes(name: str) -> None:
+    texts = [as_toml(task.scenario, []) for task in SUITES[name]]
+    assert hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16] == FROZEN[name]

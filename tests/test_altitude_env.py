@@ -1,0 +1,173 @@
+"""Altitude in the environments: a third action, two more observations, and the same flight as over the bus."""
+
+import sys
+from collections.abc import Iterator
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import outrider
+from bus.observations import ALTITUDE, UAV, by_name
+from outrider.envs.closed_loop import ClosedLoop
+from outrider.envs.env_pilots import pilots
+from outrider.running.flying import fly
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
+
+CHANGES = ["duration=6", "altitude.law=best", "uav.0.max_altitude=20", "uav.0.min_altitude=7"]
+COUNTERS = ("certified_while_lost", "certificate_broken")
+SETTINGS: dict[str, Any] = {"end_on_sight_lost": False, "estimate": True}
+"""With the estimate, every environment here runs the same compiled loop."""
+
+
+def town(*changes: str) -> Scenario:
+    return load_scenario("town", overrides=[*CHANGES, *changes])
+
+
+@pytest.fixture(scope="module")
+def env() -> Iterator[Any]:
+    made = outrider.parallel_env(town(), **SETTINGS)
+    yield made
+    made.close()
+
+
+def test_altitude_is_a_third_action_and_two_more_entries(env: Any) -> None:
+    uav, ugv = env.action_space("uav_0"), env.action_space("ugv_0")
+    assert (uav.shape, ugv.shape) == ((3,), (2,))
+    assert (uav.low[2], uav.high[2]) == (-1.0, 1.0)
+    space = env.observation_space("uav_0")
+    low, high = by_name(UAV + ALTITUDE, space.low), by_name(UAV + ALTITUDE, space.high)
+    assert (low["altitude"], high["altitude"]) == (0.0, 20.0)
+    assert (low["climb_rate"], high["climb_rate"]) == (-1.0, 1.0)
+    assert [name for name in env.state_names if name.startswith("uav_0.")][-2:] == [
+        "uav_0.altitude",
+        "uav_0.climb_rate",
+    ]
+
+
+def test_gymnasium_accepts_the_environment() -> None:
+    check_env(outrider.single_env(town()), skip_render_check=True)
+
+
+@pytest.mark.parametrize("action", [[0.0, 0.0], [0.0, 0.0, np.nan], [[0.0, 0.0, 0.0]]])
+def test_an_action_without_a_third_number_is_refused(env: Any, action: Any) -> None:
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match=r"action of uav_0 .*three (finite )?numbers"):
+        env.step({"uav_0": action, "ugv_0": [0.0, 0.0]})
+    single = outrider.single_env(town())
+    single.reset(seed=1)
+    with pytest.raises(ValueError, match=r"action of uav_0 .*three (finite )?numbers"):
+        single.step(action)
+
+
+def test_pilots_fly_the_environment_like_a_run(env: Any) -> None:
+    seen, _ = env.reset(seed=3)
+    policies = pilots(env)
+    while env.agents:
+        seen, *_ = env.step({name: policies[name](seen[name]) for name in env.agents})
+    flight, summary = fly(town(), 3)
+    assert np.array_equal(env.world.reference_position, flight.world.reference_position)
+    assert np.array_equal(env.world.vertical, flight.world.vertical)
+    assert env.world.vertical["altitude"][0] != 14.0
+    assert summary.certified_while_lost == 0
+
+
+@pytest.mark.parametrize("law", ["fixed", "certified", "best"])
+def test_batches_fly_like_a_run(law: str) -> None:
+    scenario = town(f"altitude.law={law}")
+    loop = ClosedLoop(scenario, 2, error=True, end_on_sight_lost=False)
+    loop.begin([3, 4])
+    loop.fly()
+    vehicles, metrics = loop.state.batch.vehicles, loop.metrics("uav_0")
+    for k, seed in enumerate((3, 4)):
+        flight, summary = fly(scenario, seed)
+        place = vehicles["reference_position"][k]
+        assert place == pytest.approx(flight.world.reference_position, abs=1e-9)
+        height = vehicles["vertical"]["altitude"][k]
+        assert height == pytest.approx(flight.world.vertical["altitude"], abs=1e-9)
+        assert metrics["certified"][k] == pytest.approx(summary.certified_share)
+        assert metrics["mean_error"][k] == pytest.approx(summary.mean_error)
+    assert [metrics[name].sum() for name in COUNTERS] == [0.0, 0.0]
+
+
+def test_many_worlds_equal_single_ones_bit_for_bit(env: Any) -> None:
+    many = outrider.parallel_vector_env(town(), num_envs=2, **SETTINGS)
+    rng, low = np.random.default_rng(1), many.action_space("uav_0").low
+    actions = [
+        {"uav_0": rng.uniform(low, -low, (2, 3)), "ugv_0": rng.uniform(-0.1, 0.1, (2, 2))}
+        for _ in range(40)
+    ]
+    first, _ = many.reset(seed=5)
+    rows = [first["uav_0"], *(many.step(one)[0]["uav_0"] for one in actions)]
+    for k in range(2):
+        seen, _ = env.reset(seed=5 + k)
+        own = [seen["uav_0"]]
+        for one in actions:
+            own.append(env.step({name: array[k] for name, array in one.items()})[0]["uav_0"])
+        assert np.array_equal(np.array(own), np.array(rows)[:, k])
+
+
+def test_filter_keeps_diving_actions_in_sight() -> None:
+    worlds = outrider.vector_env(town("duration=60"), num_envs=8, safety_filter=True)
+    worlds.reset(seed=1)
+    rng, certified = np.random.default_rng(1), 0
+    for k in range(600):
+        if k % 40 == 0:
+            action = rng.uniform(-0.3, 0.3, (8, 3))
+            action[:, 2] = rng.choice([-1.0, -1.0, 1.0], 8)
+        *_, infos = worlds.step(action)
+        certified += int(infos["certified"].sum())
+    metrics = worlds.metrics()["uav_0"]
+    assert metrics["ticks"].tolist() == [600.0] * 8
+    assert certified > 0.9 * 600 * 8
+    assert [metrics[name].sum() for name in COUNTERS] == [0.0, 0.0]
+    assert worlds.worlds.loop.state.batch.vehicles["vertical"]["altitude"][:, 0].min() < 13.0
+
+
+# -- the information contract
+
+
+def test_own_map_shows_no_building_that_the_uav_does_not_know() -> None:
+    """The map of a UAV without a map of the buildings does not depend on where they are."""
+    settings, maps = SETTINGS | {"coverage_patch": (9, 1.0)}, []
+    for known in ("false", "true"):
+        for x in (7, 8):
+            place = f"building=[{{height=4, polygon=[[{x},2],[{x + 2},2],[{x + 2},9],[{x},9]]}}]"
+            one = outrider.parallel_env(
+                town("building_field=[]", f"buildings.known={known}", place), **settings
+            )
+            one.reset(seed=2)
+            for _ in range(80):
+                seen, *_ = one.step({"uav_0": [0.3, 0.0, 0.0], "ugv_0": [0.0, 0.0]})
+            maps.append(seen["uav_0"]["coverage"])
+    assert np.array_equal(maps[0], maps[1])
+    assert not np.array_equal(maps[2], maps[3])
+
+
+def weave(k: int) -> Any:
+    """Return the action of a UAV that turns and climbs by the number of its calls."""
+    return np.array([[0.1, 0.05 * (-1.0) ** (k // 20), 0.4 * (-1.0) ** (k // 15)]])
+
+
+def test_a_policy_in_flight_sees_the_rows_of_the_environment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rows: list[Any] = []
+
+    def act(seen: Any) -> Any:
+        rows.append(seen[0].copy())
+        return weave(len(rows))
+
+    module = ModuleType("weaving_policy_of_a_test")
+    module.act = act  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    fly(town("law.name=policy", f"custom.uav_policy={module.__name__}:act"), 3)
+    env = outrider.single_env(town(), end_on_sight_lost=False)
+    seen, _ = env.reset(seed=3)
+    for k, row in enumerate(rows):
+        assert np.array_equal(seen, row)
+        seen, *_ = env.step(weave(k + 1)[0])
+    assert len({row[9] for row in rows}) > 50
