@@ -40,6 +40,8 @@ from processes import await_status, wait_until
 from scattered import scattered
 from statuses import PRESENT, a_status, a_truth, a_vehicle
 
+pytest.importorskip("textual", reason="the extra [drive] is not installed")
+
 CHILD = (
     "import fcntl, sys, termios\n"
     "if sys.stdin.isatty(): fcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"

@@ -372,6 +372,7 @@ def test_the_secret_shifts_a_recording_too() -> None:
 def test_recorded_link_flies_alike_and_replays_without_its_file(
     tmp_path: Path, command: Any
 ) -> None:
+    pytest.importorskip("foxglove", reason="the extra [record] is not installed")
     (tmp_path / "recorded").mkdir()
     (tmp_path / "recorded" / "wifi.csv").write_text(TABLE)
     (tmp_path / "mine.toml").write_text(
