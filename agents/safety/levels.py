@@ -76,8 +76,8 @@ def _levels(briefing: UavBriefing) -> tuple[SafetyBounds, ...]:
         return (bounds_at(briefing),)
     low, high = least_altitude(briefing), own.max_altitude
     top = bounds_at(briefing, high)
-    if low > high or not top.valid:
-        return (top._replace(floor=-math.inf, valid=False),)
+    if low > high or not top.valid:  # nothing is certified, but the UAV still stays above the buildings
+        return (top._replace(floor=low if low <= high else -math.inf, valid=False),)
     if not bounds_at(briefing, low).valid:
         invalid, low = low, high
         while low - invalid > _PRECISION:
@@ -111,7 +111,8 @@ def _first_part(briefing: UavBriefing) -> UavBriefing:
 def levels_of(briefing: UavBriefing) -> RecordArray:
     """Return the filter's bounds by increasing floor, as a table of `SafetyBounds`.
 
-    One row if the UAV flies in the plane, or if no altitude can be certified. Shape (levels,).
+    One row if the UAV flies in the plane, or if no altitude can be certified; then it has the lowest altitude that
+    clears every building as its floor. Shape (levels,).
     """
     return records(SafetyBounds, _levels(_first_part(briefing)))
 

@@ -23,10 +23,6 @@ from typing import IO
 
 import numpy as np
 
-from bus.credentials import read_credential
-from bus.joining import open_session
-from bus.keys import STATUS, Party, Role
-from bus.messages.telemetry import Status
 from outrider.running.flying import fly
 from sim.scenario.loading import load_scenario
 
@@ -91,7 +87,7 @@ def memory(pid: int) -> float | None:
 
 
 class Tracks:
-    """Memory of each process over simulated time."""
+    """Memory of each process over wall time."""
 
     def __init__(self) -> None:
         self._samples: dict[tuple[str, int], list[tuple[float, float]]] = {}
@@ -109,18 +105,17 @@ class Tracks:
                 self._samples.setdefault((kind, pid), []).append((seconds, used))
 
     def lines(self) -> list[str]:
-        """Return memory and growth rate, after the initial phase, of each process that lived long enough."""
+        """Return memory and growth, after the initial phase, of each process that lived long enough."""
         report_lines = []
         for (kind, pid), samples in self._samples.items():
             rows = np.array(samples)
             settled = rows[len(rows) // 4 :]
-            if len(settled) < 8 or settled[-1, 0] - settled[0, 0] < 60.0:
+            if len(settled) < 8 or settled[-1, 0] - settled[0, 0] < 20.0:
                 continue
-            slope = float(np.polyfit(settled[:, 0], settled[:, 1], 1)[0]) * 3600.0
             span = settled[-1, 0] - settled[0, 0]
+            growth = float(np.polyfit(settled[:, 0], settled[:, 1], 1)[0]) * span
             report_lines.append(
-                f"{kind:10} {pid:8d}  {rows[-1, 1]:7.1f} MB  {slope:+8.2f} MB an hour of simulated time, over "
-                f"{span:5.0f} s"
+                f"{kind:10} {pid:8d}  {rows[-1, 1]:7.1f} MB  {growth:+8.2f} MB over {span:5.0f} s"
             )
         return report_lines
 
@@ -148,44 +143,18 @@ def watch(
     run: "subprocess.Popen[bytes]", rng: random.Random, every: float
 ) -> tuple[Tracks, list[str]]:
     """Follow a run to its end, and disturb it every few seconds of wall time."""
-    arguments: list[str] = []
-    while "--credentials" not in arguments:
-        time.sleep(0.1)
-        arguments = next(
-            (words(pid) for pid, kind in family(run.pid).items() if kind == "simulator"), []
-        )
-    endpoint, name, known = (
-        arguments[arguments.index(option) + 1] for option in ("--listen", "--run", "--credentials")
-    )
-    while not Path(endpoint.removeprefix("unixsock-stream/")).exists():
-        time.sleep(0.1)
-    tracks, disturbances, due = Tracks(), list[str](), time.monotonic() + 2.0 * every
-    observer, credential = (
-        Party(role=Role.OBSERVER, name="observer"),
-        read_credential(Path(known).with_name("observer.json")),
-    )
-    with open_session(observer, name, connect=endpoint, credential=credential) as session:
-        inbox, shown = session.inbox(STATUS), 0.0
-        while run.poll() is None:
-            received = inbox.receive(0.5)
-            if received is None or not isinstance(received.message, Status):
-                continue
-            status = received.message
-            now = time.monotonic()
-            if now - shown > 1.0:
-                shown = now
-                tracks.sample(run.pid, status.time)
-                sys.stderr.write(
-                    f"\r{status.time:8.1f} s of {status.ticks * status.time / max(status.tick, 1):.0f} s, "
-                    f"{len(disturbances)} disturbances "
-                )
-            if status.over:
-                break
-            if now > due and status.tick:
-                due = now + rng.uniform(0.5, 1.5) * every
-                disturbance = disturb_vehicle(run.pid, rng)
-                if disturbance:
-                    disturbances.append(f"{disturbance} at {status.time:.1f} s")
+    started = time.monotonic()
+    tracks, disturbances, due = Tracks(), list[str](), started + 2.0 * every
+    while run.poll() is None:
+        time.sleep(0.5)
+        now = time.monotonic()
+        tracks.sample(run.pid, now - started)
+        sys.stderr.write(f"\r{now - started:6.0f} s, {len(disturbances)} disturbances ")
+        if now > due:
+            due = now + rng.uniform(0.5, 1.5) * every
+            disturbance = disturb_vehicle(run.pid, rng)
+            if disturbance:
+                disturbances.append(f"{disturbance} at {now - started:.1f} s")
     sys.stderr.write("\n")
     return tracks, disturbances
 
@@ -200,7 +169,7 @@ def main() -> int:
     parser.add_argument(
         "--every",
         type=float,
-        default=3.0,
+        default=6.0,
         help="wall time between two disturbances, on average [s]",
     )
     options = parser.parse_args()

@@ -1,0 +1,132 @@
+"""Altitude in a town: what the UAV covers, certifies and reports, by altitude and law.
+
+python benchmarks/altitude_worth.py                         the table of docs/explanation/altitude.md, ten minutes
+python benchmarks/altitude_worth.py --picture altitude.png  the table and its plot
+python benchmarks/altitude_worth.py --seeds 2               a quick check
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from outrider.envs.closed_loop import ClosedLoop
+from outrider.style import LIMIT, law_color, law_mark, new_figure, save
+from sim.scenario.loading import load_scenario
+
+ALTITUDES = (6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 16.0, 20.0, 24.0)
+"""Altitudes at which the UAV stays [m]."""
+LAWS = ("tracking", "circle", "certified", "lookahead")
+BOUNDS = ["uav.0.min_altitude=6", "uav.0.max_altitude=24", "altitude.law=fixed"]
+
+
+class Row(NamedTuple):
+    """Runs of one law at one altitude."""
+
+    law: str
+    altitude: float
+    mean_error: float
+    """Mean of e(t) over ticks and runs [m²]."""
+    certified: float
+    """Share of certified ticks."""
+    lost: float
+    """Share of ticks out of sight."""
+    mission_time: float
+    """Mean of the runs that arrived [s]; NaN without any."""
+    arrived: int
+
+
+def flown(law: str, altitude: float, seeds: int) -> Row:
+    """Fly a town for each seed."""
+    changes = [*BOUNDS, f"law.name={law}", f"uav.0.initial_altitude={altitude}"]
+    scenario = load_scenario("town", overrides=changes)
+    loop = ClosedLoop(scenario, seeds, error=True, end_on_sight_lost=False, end_on_goals_reached=True)
+    loop.begin(list(range(seeds)))
+    loop.fly()
+    (metrics,) = (loop.metrics(uav) for uav in loop.uavs)
+    times = [loop.mission(k).mission_time for k in range(seeds)]
+    loop.close()
+    arrived = [time for time in times if time is not None]
+    return Row(
+        law,
+        altitude,
+        float(metrics["mean_error"].mean()),
+        float(metrics["certified"].mean()),
+        float((metrics["visibility_violations"] / (metrics["ticks"] + 1.0)).mean()),
+        float(np.mean(arrived)) if arrived else np.nan,
+        len(arrived),
+    )
+
+
+def rows(seeds: int) -> Iterator[Row]:
+    """Fly all laws at all altitudes, in the same towns."""
+    for law in LAWS:
+        for altitude in ALTITUDES:
+            yield flown(law, altitude, seeds)
+
+
+def _lines(axes: Axes, rows: Sequence[Row], field: str, scale: float, label: str) -> None:
+    """Plot one quantity against the altitude, one line per law."""
+    for law in LAWS:
+        own = [row for row in rows if row.law == law]
+        axes.plot(
+            [row.altitude for row in own],
+            [scale * getattr(row, field) for row in own],
+            marker=law_mark(law),
+            ms=5.0,
+            color=law_color(law),
+            label=law,
+        )
+    axes.set_xlabel("altitude [m]")
+    axes.set_ylabel(label)
+    axes.set_ylim(bottom=0.0)
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Plot mean e(t), certified ticks and mission times against the altitude."""
+    figure = new_figure(1500, 480)
+    panels = figure.subplots(1, 3)
+    _lines(panels[0], rows, "mean_error", 1.0, "mean e(t) [m²]")
+    _lines(panels[1], rows, "certified", 100.0, "certified ticks [%]")
+    _lines(panels[2], rows, "mission_time", 1.0, "mission time [s]")
+    panels[1].set_ylim(-3.0, 105.0)
+    roofs = 5.0
+    for axes in panels:
+        axes.axvline(roofs, color=LIMIT, lw=1.0, ls=":")
+    figure.legend(
+        *panels[0].get_legend_handles_labels(),
+        loc="outside upper center",
+        ncols=len(LAWS),
+        frameon=False,
+    )
+    save(figure, path)
+
+
+def main() -> None:
+    """Print the table and, if requested, plot it."""
+    parser = argparse.ArgumentParser(description="Altitude in a town.")
+    parser.add_argument("--seeds", type=int, default=20, help="Runs per row.")
+    parser.add_argument("--picture", type=Path, help="Plot the result into this PNG.")
+    given = parser.parse_args()
+    sys.stdout.write(
+        "| law | altitude [m] | mean e(t) [m²] | certified | out of sight | arrived | mission time [s] |\n"
+        "|---|---:|---:|---:|---:|---:|---:|\n"
+    )
+    found = []
+    for row in rows(given.seeds):
+        found.append(row)
+        sys.stdout.write(
+            f"| {row.law} | {row.altitude:g} | {row.mean_error:.1f} | {100.0 * row.certified:.1f} % "
+            f"| {100.0 * row.lost:.1f} % | {row.arrived} of {given.seeds} | {row.mission_time:.1f} |\n"
+        )
+        sys.stdout.flush()
+    if given.picture is not None:
+        draw(found, given.picture)
+
+
+if __name__ == "__main__":
+    main()
