@@ -127,6 +127,27 @@ def test_filter_keeps_diving_actions_in_sight() -> None:
     assert worlds.worlds.loop.state.batch.vehicles["vertical"]["altitude"][:, 0].min() < 13.0
 
 
+@pytest.mark.parametrize("clearance", [1.5, 0.01], ids=["certified", "never certified"])
+def test_no_filtered_uav_touches_a_building(clearance: float) -> None:
+    changes = ["duration=60", "uav.0.min_altitude=1", f"ugv.0.building_clearance={clearance}"]
+    worlds = outrider.vector_env(
+        town(*changes), num_envs=8, safety_filter=True, end_on_sight_lost=False
+    )
+    worlds.reset(seed=1)
+    rng, state, lowest = np.random.default_rng(2), worlds.worlds.loop.state.batch, np.inf
+    certified = 0
+    for k in range(1199):
+        if k % 40 == 0:
+            action = rng.uniform(-0.3, 0.3, (8, 3))
+            action[:, 2] = rng.choice([-1.0, -1.0, 1.0], 8)
+        *_, infos = worlds.step(action)
+        certified += int(infos["certified"].sum())
+        lowest = min(lowest, state.vehicles["vertical"]["altitude"][:, 0].min())
+    assert not state.vehicles["vertical"]["contacts"].any()
+    assert lowest >= 6.0  # roofs of at most 5 m, and a vertical clearance of 1 m
+    assert (certified > 0) == (lowest < 7.5) == (clearance == 1.5)
+
+
 # -- the information contract
 
 
