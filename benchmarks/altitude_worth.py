@@ -44,7 +44,9 @@ def flown(law: str, altitude: float, seeds: int) -> Row:
     """Fly a town for each seed."""
     changes = [*BOUNDS, f"law.name={law}", f"uav.0.initial_altitude={altitude}"]
     scenario = load_scenario("town", overrides=changes)
-    loop = ClosedLoop(scenario, seeds, error=True, end_on_sight_lost=False, end_on_goals_reached=True)
+    loop = ClosedLoop(
+        scenario, seeds, error=True, end_on_sight_lost=False, end_on_goals_reached=True
+    )
     loop.begin(list(range(seeds)))
     loop.fly()
     (metrics,) = (loop.metrics(uav) for uav in loop.uavs)

@@ -255,7 +255,7 @@ TOWNS: tuple[Task, ...] = (
     ),
     Task(
         name="courtyard",
-        hard="a courtyard whose wings of 6 m are higher than the UAV sees over from far away",
+        hard="a courtyard between wings of 6 m, which hide the UGV from afar",
         changes={},
         base="courtyard",
     ),
