@@ -19,8 +19,6 @@ from sim.scenario.types import Scenario
 
 CHANGES = ["duration=6", "altitude.law=best", "uav.0.max_altitude=20", "uav.0.min_altitude=7"]
 COUNTERS = ("certified_while_lost", "certificate_broken")
-SETTINGS: dict[str, Any] = {"end_on_sight_lost": False, "estimate": True}
-"""With the estimate, every environment here runs the same compiled loop."""
 
 
 def town(*changes: str) -> Scenario:
@@ -29,7 +27,7 @@ def town(*changes: str) -> Scenario:
 
 @pytest.fixture(scope="module")
 def env() -> Iterator[Any]:
-    made = outrider.parallel_env(town(), **SETTINGS)
+    made = outrider.parallel_env(town(), end_on_sight_lost=False)
     yield made
     made.close()
 
@@ -93,20 +91,16 @@ def test_batches_fly_like_a_run(law: str) -> None:
     assert [metrics[name].sum() for name in COUNTERS] == [0.0, 0.0]
 
 
-def test_many_worlds_equal_single_ones_bit_for_bit(env: Any) -> None:
-    many = outrider.parallel_vector_env(town(), num_envs=2, **SETTINGS)
-    rng, low = np.random.default_rng(1), many.action_space("uav_0").low
-    actions = [
-        {"uav_0": rng.uniform(low, -low, (2, 3)), "ugv_0": rng.uniform(-0.1, 0.1, (2, 2))}
-        for _ in range(40)
-    ]
+def test_many_worlds_equal_single_ones_bit_for_bit() -> None:
+    many = outrider.vector_env(town(), num_envs=2, end_on_sight_lost=False)
+    one = outrider.single_env(town(), end_on_sight_lost=False)
+    rng, high = np.random.default_rng(1), one.action_space.high
+    actions = rng.uniform(-high, high, (40, 2, 3))
     first, _ = many.reset(seed=5)
-    rows = [first["uav_0"], *(many.step(one)[0]["uav_0"] for one in actions)]
+    rows = [first, *(many.step(action)[0] for action in actions)]
     for k in range(2):
-        seen, _ = env.reset(seed=5 + k)
-        own = [seen["uav_0"]]
-        for one in actions:
-            own.append(env.step({name: array[k] for name, array in one.items()})[0]["uav_0"])
+        seen, _ = one.reset(seed=5 + k)
+        own = [seen, *(one.step(action[k])[0] for action in actions)]
         assert np.array_equal(np.array(own), np.array(rows)[:, k])
 
 
@@ -153,17 +147,18 @@ def test_no_filtered_uav_touches_a_building(clearance: float) -> None:
 
 def test_own_map_shows_no_building_that_the_uav_does_not_know() -> None:
     """The map of a UAV without a map of the buildings does not depend on where they are."""
-    settings, maps = SETTINGS | {"coverage_patch": (9, 1.0)}, []
+    settings: dict[str, Any] = {"end_on_sight_lost": False, "coverage_patch": (9, 1.0)}
+    maps = []
     for known in ("false", "true"):
         for x in (7, 8):
             place = f"building=[{{height=4, polygon=[[{x},2],[{x + 2},2],[{x + 2},9],[{x},9]]}}]"
-            one = outrider.parallel_env(
+            one = outrider.single_env(
                 town("building_field=[]", f"buildings.known={known}", place), **settings
             )
             one.reset(seed=2)
             for _ in range(80):
-                seen, *_ = one.step({"uav_0": [0.3, 0.0, 0.0], "ugv_0": [0.0, 0.0]})
-            maps.append(seen["uav_0"]["coverage"])
+                seen, *_ = one.step([0.3, 0.0, 0.0])
+            maps.append(seen["coverage"])
     assert np.array_equal(maps[0], maps[1])
     assert not np.array_equal(maps[2], maps[3])
 

@@ -157,8 +157,9 @@ def test_waypoints_driver_that_cuts_a_corner_is_counted() -> None:
     assert near_building(scenario(none)) == [0]
 
 
-def test_cautious_ugv_keeps_its_clearance_in_towns_of_50_seeds(town: Scenario) -> None:
-    assert near_building(msgspec.structs.replace(town, uav=()), 50) == [0] * 50
+@pytest.mark.parametrize("seeds", [10, pytest.param(50, marks=pytest.mark.long)])
+def test_cautious_ugv_keeps_its_clearance_in_towns(town: Scenario, seeds: int) -> None:
+    assert near_building(msgspec.structs.replace(town, uav=()), seeds) == [0] * seeds
 
 
 def test_cautious_ugvs_of_the_other_shipped_scenarios_keep_it() -> None:

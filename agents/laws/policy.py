@@ -34,7 +34,10 @@ SETUP: Mapping[str, Any] = {
 
 `duration` [s] is the length of its episodes; it replaces the age of a detection before the first one.
 """
-_ALLOWED = "finite numbers of shape (1, {}), the acceleration {} [m/s²]"
+_PLANE = "two finite numbers for each world, here of shape (1, 2), the acceleration x and y [m/s²]"
+_SPACE = (
+    "three finite numbers for each world, here of shape (1, 3), the acceleration x, y and z [m/s²]"
+)
 
 
 class TargetEstimate(NamedTuple):
@@ -134,8 +137,8 @@ class PolicyControl:
         count = 3 if self._climbs else 2
         found = finite(answer, (1, count))
         if found is None or max(map(abs, found)) > LARGEST:
-            axes = "x, y and z" if self._climbs else "x and y"
-            raise self._asked.invalid_answer(tick, answer, _ALLOWED.format(count, axes))
+            allowed = _SPACE if self._climbs else _PLANE
+            raise self._asked.invalid_answer(tick, answer, allowed)
         self.vertical = found[2] if self._climbs else 0.0
         return found[0], found[1]
 

@@ -326,7 +326,7 @@ def test_a_scenario_of_ones_own_is_scored_alike() -> None:
     assert Suite([TASK]).names == ("short",)
 
 
-@pytest.mark.parametrize("base", ["escort", "minefield"])
+@pytest.mark.parametrize("base", ["escort", pytest.param("minefield", marks=pytest.mark.long)])
 def test_noise_of_one_task_reveals_nothing_about_another(
     base: str,
 ) -> None:
