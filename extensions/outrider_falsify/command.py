@@ -57,8 +57,7 @@ def command(
     tick was certified while the UGV was out of sight. Bounds missing from [certificate] are set to cover the limits.
 
     For this law a compiled attack runs as well: adversaries control the UAV, the UGV, the detection errors and the
-    network, and break assumptions. It takes 99 of 100 of --runs, or two thirds of --minutes. With --altitude, the UAV
-    also dives and climbs over towns that hide the UGV.
+    network, and break assumptions. It takes 99 of 100 of --runs, or two thirds of --minutes.
 
     The exit code is 0 for any result unless --expect is given; 130 after Ctrl-C, which keeps the best result.
 
@@ -70,7 +69,7 @@ def command(
     from outrider_falsify.limits import SearchLimits
     from sim.compiling.threads import cores
 
-    _check_control(control is not None, law, engine)
+    _check_control(control is not None, law, engine, altitude=altitude)
     flown, named = resolve(
         scenario,
         law="certified" if control is not None else law,
@@ -80,8 +79,6 @@ def command(
     check_code(flown, named, source=scenario, allowed=allow_code)
     check_own_functions(flown)
     certified = LAWS[flown.law.name].watched
-    if altitude and (engine != "attack" or control is not None):
-        raise typer.BadParameter("--altitude: needs --engine attack, without --control")
     if (engine is not None or error is not None) and not certified:
         raise typer.BadParameter(
             f"law = {flown.law.name}: --engine and --error need the law certified"
@@ -89,8 +86,7 @@ def command(
     flies = control is None and engine != "attack"
     attacks = certified and (control is not None or engine != "flights")
     limits = SearchLimits(**options.limits_of(limit, flown.detections.noise))
-    if attacks:
-        _check_error(error)
+    _check_error(error if attacks else None)
     _check_out(out)
     wanted = SearchRequest(
         base=_base(flown, limits) if flies else flown,
@@ -145,8 +141,10 @@ def _check_out(out: Path | None) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
 
 
-def _check_control(given: bool, law: str | None, engine: str | None) -> None:
-    """Raise `typer.BadParameter` if --control cannot be combined with the law or the engine."""
+def _check_control(given: bool, law: str | None, engine: str | None, *, altitude: bool) -> None:
+    """Raise `typer.BadParameter` if --control or --altitude cannot be combined with the law or the engine."""
+    if altitude and (given or engine != "attack"):
+        raise typer.BadParameter("--altitude: needs --engine attack, without --control")
     if given and (law not in (None, "certified") or engine == "flights"):
         raise typer.BadParameter(
             "--control: replaces the law certified in the attack; leave out --law and --engine"

@@ -38,7 +38,7 @@ Action = npt.ArrayLike | UavCommand | UgvCommand
 
 
 def _acceleration(action: Action, length: int) -> npt.ArrayLike:
-    """Return the acceleration of an action with this number of entries; that of an array is the array."""
+    """Return the acceleration in an action, with this number of entries; an array stays as it is."""
     if isinstance(action, UavCommand):
         return (*action.acceleration, action.vertical_acceleration)[:length]
     return action.acceleration if isinstance(action, UgvCommand) else action

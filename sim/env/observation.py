@@ -26,7 +26,7 @@ def one_of_world(seen: AgentObservation, k: int) -> AgentObservation:
 
 
 def uav_table(*, altitude: bool, gradient: bool) -> Table:
-    """Return the entries of a UAV's row, which are those of `sim.env.rows.RowState.uav_rows` in the same order."""
+    """Return the entries of a UAV's row, in the order of `sim.env.rows.RowState.uav_rows`."""
     return UAV + (ALTITUDE if altitude else ()) + (GRADIENT if gradient else ())
 
 
