@@ -50,7 +50,9 @@ def peak_at(peak: float, reference_height: float, z: float) -> float:
 
 @compiled
 def visibility_radius_at(r_v: float, tangent: float, marker_height: float, z: float) -> float:
-    r"""Return the visibility radius, $r_v(z) = \max(0, \min(r_v, (z - h_m) \tan\theta))$ [m].
+    r"""Return the visibility radius [m].
+
+    $$ r_v(z) = \max(0, \min(r_v, (z - h_m) \tan\theta)) $$
 
     Args:
         r_v: Visibility radius at a great height [m].
@@ -63,7 +65,9 @@ def visibility_radius_at(r_v: float, tangent: float, marker_height: float, z: fl
 
 @compiled
 def noise_at(sigma: float, reference_height: float, distance: float, z: float) -> float:
-    r"""Return the standard deviation of a detection per axis, $\sigma(d, z) = \sigma_0 \sqrt{d^2 + z^2} / z_0$ [m].
+    r"""Return the standard deviation of a detection per axis [m].
+
+    $$ \sigma(d, z) = \sigma_0 \sqrt{d^2 + z^2} / z_0 $$
 
     Args:
         sigma: Standard deviation σ_0 directly below the camera at the height z_0 [m].

@@ -224,7 +224,9 @@ def coverage_gradient(
 
     $$ u_{cov} = k \int_{Q_r} h'(C^* - C)\; 2 \frac{dS_a}{d\rho^2}\, (p_a - q)\, \phi(q, p_g)\, dq $$
 
-    This equals the paper's $k\frac{4M}{r^4}\int h'(\cdot)(\|p_a-q\|^2 - r^2)(p_a-q)\phi\,dq$ for its sensor (2).
+    For the paper's sensor (2) this equals
+
+    $$ k\frac{4M}{r^4}\int h'(\cdot)(\|p_a-q\|^2 - r^2)(p_a-q)\phi\,dq $$
 
     Args:
         coverage: C on the grid.
