@@ -76,9 +76,8 @@ def _levels(briefing: UavBriefing) -> tuple[SafetyBounds, ...]:
         return (bounds_at(briefing),)
     low, high = least_altitude(briefing), own.max_altitude
     top = bounds_at(briefing, high)
-    if (
-        low > high or not top.valid
-    ):  # nothing is certified, but the UAV still stays above the buildings
+    if low > high or not top.valid:
+        # nothing is certified, but the filter still keeps the UAV above the buildings
         return (top._replace(floor=low if low <= high else -math.inf, valid=False),)
     if not bounds_at(briefing, low).valid:
         invalid, low = low, high
