@@ -27,6 +27,19 @@ def check_made_for(name: str, value: float, made: float) -> None:
         raise ValueError(f"{name} = {value:g}: the policy was trained with {made:g}")
 
 
+def check_plane(briefing: UavBriefing) -> None:
+    """Check that a UAV flies in the plane, as in every training that can be saved.
+
+    Raises:
+        ValueError: If the UAV has an altitude.
+    """
+    if briefing.altitude is not None:
+        altitude = briefing.altitude.initial_altitude
+        raise ValueError(
+            f"initial_altitude = {altitude:g} m: the policy was trained in the plane; allowed: none"
+        )
+
+
 def make_view(recipe: Mapping[str, Any]) -> EscortView:
     """Return the transformation that a recipe describes, for one environment.
 
@@ -104,7 +117,7 @@ class LearnedPolicy:
         """Check that the policy supports a scenario.
 
         Raises:
-            ValueError: If the tick length or a UAV's maximum speed differs.
+            ValueError: If `fits` rejects a UAV.
         """
         for uav in scenario.uav:
             try:
@@ -116,8 +129,9 @@ class LearnedPolicy:
         """Check that the policy supports a UAV; there are no warnings.
 
         Raises:
-            ValueError: If the tick length or the UAV's maximum speed differs.
+            ValueError: If the tick length or the UAV's maximum speed differs, or the UAV has an altitude.
         """
+        check_plane(briefing)
         v_max = float(self.recipe["view"]["v_max"])
         check_made_for("dt", briefing.dt, self._dt)
         check_made_for("max_speed", briefing.limits.numbers[0], v_max)

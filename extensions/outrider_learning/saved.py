@@ -19,7 +19,7 @@ from bus.files import read_regular, writing
 from bus.messages.vehicle import UavBriefing
 from bus.observations import ROUNDING, UAV, by_name, largest, names
 from bus.policies import policy_forms
-from outrider_learning.learned import check_made_for
+from outrider_learning.learned import check_made_for, check_plane
 from outrider_learning.recipe import (
     NEEDED,
     HeldAction,
@@ -124,8 +124,7 @@ class SavedPolicy:
         Raises:
             ValueError: If the tick length or the UAV's maximum speed differs, or the UAV has an altitude.
         """
-        if briefing.altitude is not None:
-            raise ValueError("initial_altitude: the policy was trained in the plane; allowed: none")
+        check_plane(briefing)
         made, area = self._recipe.extent, briefing.area
         if self._recipe.dt is not None:
             check_made_for("dt", briefing.dt, self._recipe.dt)

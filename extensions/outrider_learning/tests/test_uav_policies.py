@@ -35,6 +35,8 @@ from sim.server.flight import Flight
 from tabular import words
 from worlds import SCENARIOS, SEVERAL, raw
 
+EXAMPLES = Path(__file__).parents[3] / "examples" / "policies"
+
 SHIPPED = Path(__file__).parents[3] / "examples" / "policies" / "uav_ppo.npz"
 NAME = f"npz:{SHIPPED}"
 ESCORT = load_scenario("escort", overrides={"duration": 20.0})
@@ -241,6 +243,19 @@ def test_saved_policy_flies_a_run_and_reports_too_large_an_area() -> None:
     wide = msgspec.structs.replace(briefing.area, width=120.0)
     (line,) = policy.fits(msgspec.structs.replace(briefing, area=wide))
     assert "larger than the 40 m x 40 m" in line
+
+
+def test_saved_policies_refuse_a_uav_with_an_altitude() -> None:
+    """The policies were trained in the plane; nothing is flown before the error."""
+    env = outrider.vector_env("escort", num_envs=1)
+    saved = SavedPolicy(Linear(env.single_observation_space), observation_recipe(env))
+    for policy in (saved, LearnedPolicy.load(EXAMPLES / "uav_ppo.npz")):
+        with refused(ValueError, "town: uav_0: initial_altitude = 14 m: the policy was trained"):
+            policy.check(load_scenario("town"))
+    with refused(ValueError, "agent = 'uav_0': has an altitude; allowed: a UAV in the plane"):
+        observation_recipe(outrider.single_env("town"))
+    with refused(ValueError, "Egocentric needs the row of a UAV in the plane"):
+        Transformed(outrider.vector_env("town", num_envs=1), Egocentric())
 
 
 class Mine(Egocentric):
