@@ -78,7 +78,7 @@ class Egocentric(Transformation):
         shape, low = space.shape or (0,), getattr(space, "low", None)
         if len(shape) != 1 or shape[0] not in _BODY_OF or low is None or np.any(low[:3] != 0.0):
             raise ValueError(_NEEDED.format(type(space).__name__, shape))
-        if shape[0] == len(UAV + GRADIENT) and low[-1] != -1.0:  # an altitude instead of a gradient
+        if np.any(low[len(UAV) :] == 0.0):  # an altitude instead of a gradient
             raise ValueError(_NEEDED.format(type(space).__name__, shape))
         self._table, self._body = _BODY_OF[shape[0]]
         old = cast("spaces.Box", space)

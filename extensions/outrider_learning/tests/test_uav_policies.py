@@ -3,6 +3,7 @@
 import copy
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -29,6 +30,8 @@ from outrider_learning.suite.tasks import TASKS
 from outrider_learning.transformation import Transformed
 from refusals import refused
 from sim.engine.briefing import uav_briefing
+from sim.env.observation import ObservationFormat
+from sim.env.settings import settings_of
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Custom, Scenario
 from sim.server.flight import Flight
@@ -252,10 +255,14 @@ def test_saved_policies_refuse_a_uav_with_an_altitude() -> None:
     for policy in (saved, LearnedPolicy.load(EXAMPLES / "uav_ppo.npz")):
         with refused(ValueError, "town: uav_0: initial_altitude = 14 m: the policy was trained"):
             policy.check(load_scenario("town"))
+    town, settings = load_scenario("town"), settings_of({})
+    unbuilt = SimpleNamespace(
+        agent="uav_0", worlds=SimpleNamespace(scenario=town, settings=settings)
+    )
     with refused(ValueError, "agent = 'uav_0': has an altitude; allowed: a UAV in the plane"):
-        observation_recipe(outrider.single_env("town"))
+        observation_recipe(unbuilt)
     with refused(ValueError, "Egocentric needs the row of a UAV in the plane"):
-        Transformed(outrider.vector_env("town", num_envs=1), Egocentric())
+        Egocentric().space(ObservationFormat(town, settings).spaces["uav_0"])
 
 
 class Mine(Egocentric):
