@@ -10,7 +10,7 @@ PIP    := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-che
 WORKERS := -n 2 --dist loadscope --no-loadscope-reorder
 LEARNERS := sb3 torchrl rllib supersuit
 
-.PHONY: help run test long-test core-test check format figures bench docs soak kill-test compose-test page-test bridge-test learn-test clean
+.PHONY: help run test long-test core-test check format figures bench docs soak kill-test wall-test compose-test page-test bridge-test learn-test clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -76,6 +76,9 @@ soak: $(VENV)/.dev ## simulate an hour with random kills: check memory, trajecto
 
 kill-test: $(VENV)/.dev ## kill a vehicle at 40 random times; check that the trajectory stays the same
 	$(BIN)/python tests/acceptance/kill.py $(ARGS)
+
+wall-test: $(VENV)/.dev ## drive along the walls of 1,600 towns: check that no certified UGV hides
+	$(BIN)/python tests/acceptance/walls.py $(ARGS)
 
 compose-test: $(VENV)/.run ## build, run, kill, pause and disconnect the containers; needs a Docker engine
 	$(BIN)/python tests/acceptance/compose.py $(ARGS)

@@ -61,12 +61,12 @@ def radius_at(briefing: UavBriefing, z: float) -> float:
 
 
 def least_altitude(briefing: UavBriefing) -> float:
-    """Return the lowest altitude that clears every building [m]."""
+    """Return the lowest altitude that clears every building, also after rounding [m]."""
     own = briefing.altitude
     if own is None:
         return -math.inf
     roofs = briefing.max_building_height
-    return max(own.min_altitude, 0.0 if roofs is None else roofs + own.vertical_clearance)
+    return max(own.min_altitude, 0.0 if roofs is None else roofs + own.vertical_clearance + FLOOR_MARGIN)
 
 
 @functools.lru_cache(maxsize=256)
