@@ -1,6 +1,6 @@
 """Driver of each UGV in a batch: chosen by its row, compiled with the batch.
 
-As in `agents.laws.dispatch`, a batch contains all drivers that compile quickly, and only those slow ones that drive.
+A batch contains all drivers; those that need ground only if its scenario has ground.
 """
 
 from collections import namedtuple
@@ -24,7 +24,7 @@ CODES = {name: code for code, name in enumerate(_ROWS)}
 """Index of each compiled driver's file."""
 _MODULES = tuple(import_module(row.module) for row in _ROWS.values())
 PerDriver: Any = namedtuple("PerDriver", tuple(_ROWS))  # type: ignore[misc] # of the table
-"""Structured array of each driver; None if the batch does not contain it."""
+"""Structured array of each driver; None for drivers that need ground, in a batch without it."""
 _driver_command = commands([module.command for module in _MODULES])
 
 
@@ -53,13 +53,14 @@ def driver_tables(briefings: Sequence[UgvBriefing], drivers: Sequence[str]) -> D
         CODES[DEFAULT_DRIVER if DRIVERS[name].separate and one.ground is None else name]
         for one, name in chosen
     ]
+    grounded = any(one.ground is not None for one in briefings)
     tables = []
     for code, (row, module) in enumerate(zip(_ROWS.values(), _MODULES, strict=True)):
         table = np.zeros(len(chosen), record_type(module.Parameters))
         own = [k for k, other in enumerate(codes) if other == code and drivers[k] == row.name]
         if own:
             table[own] = records(module.Parameters, [given[k] for k in own])
-        tables.append(table if own or not row.separate else None)
+        tables.append(table if grounded or not row.separate else None)
     table = records(UgvParameters, ugvs)
     return DriverTables(np.array(codes, dtype=np.int64), table, PerDriver(*tables))
 
