@@ -100,7 +100,6 @@ def acceleration_deviation(*, target: Limits, acceleration_share: float, dt: flo
 
     Returns:
         The standard deviation [m/s²].
-        The standard deviation [m/s²].
     """
     acceleration = _largest_acceleration(target, dt)
     hold = _ACCELERATION_TIME if target.max_speed is None else 0.5 * target.max_speed / acceleration
