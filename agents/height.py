@@ -83,6 +83,7 @@ def vertical_command(
     own: VerticalMotion,
     coverage: FloatArray,
     target: Target,
+    occlusion: Occlusion | None = None,
 ) -> float:
     """Return the vertical acceleration of the altitude law [m/s²].
 
@@ -94,6 +95,7 @@ def vertical_command(
         here, own: Horizontal and vertical state of the UAV.
         coverage: Its own map. Shape (rows, columns).
         target: Estimate of the UGV.
+        occlusion: Known buildings; None: there are none.
     """
     if parameters.law == _CERTIFIED:
         memory.goal = parameters.lowest
@@ -109,6 +111,7 @@ def vertical_command(
                 parameters.sensor,
                 parameters.camera,
                 (parameters.lowest, parameters.highest),
+                occlusion,
             )
     return climb_to(own.altitude, own.rate, memory.goal, own.max_rate, own.max_acceleration, uav.dt)
 
@@ -161,6 +164,14 @@ class HeightControl:
         own, (uav, parameters) = self._own[0], (rows[0] for rows in self._fixed)
         return float(
             vertical_command(
-                uav, parameters, self._memory[0], observation.tick, here, own, coverage, target
+                uav,
+                parameters,
+                self._memory[0],
+                observation.tick,
+                here,
+                own,
+                coverage,
+                target,
+                self.occlusion,
             )
         )

@@ -6,6 +6,7 @@ from agents.control.orbit import Path, check_path
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimation.estimator import Estimate, estimator_of
 from agents.estimation.map_updates import MapUpdateScheduler
+from agents.estimation.own_map import own_map
 from agents.height import HeightControl
 from agents.laws.policy import PolicyControl, TargetEstimate, UavPolicy
 from agents.laws.selection import SelectedLaw
@@ -24,7 +25,8 @@ from bus.messages.vehicle import (
 )
 from bus.ticks import looks_of, radio_ticks
 from sim.compiling.compile import FloatArray
-from sim.models.field import accumulate, cover, coverage_error, empty_coverage
+from sim.models.field import accumulate, coverage_error
+from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion, brake, clip_norm, norm
 
 Inner = Callable[[UavObservation], Vector | None]
@@ -69,18 +71,9 @@ class UavPilot:
         if policy is not None:
             self._policy = PolicyControl(briefing, self._uav, policy, policy_name)
         self._check_own_functions()
-        self.coverage: FloatArray = empty_coverage(
-            briefing.area.width, briefing.area.height, briefing.area.cell
-        )
+        self.coverage: FloatArray = own_map(briefing)
         """The UAV's own coverage map, built from its own trajectory. Shape (rows, columns)."""
-        for region in briefing.covered:
-            cover(
-                self.coverage,
-                region.lower,
-                region.upper,
-                briefing.area.cell,
-                briefing.desired_coverage,
-            )
+        self._occlusion: Occlusion | None = None
         self.estimator = estimator_of(briefing)
         self.filter: SafetyFilter | None = self._make_filter()
         """Safety filter of the law `certified` and of a user's inner control; None for other laws."""
@@ -180,16 +173,16 @@ class UavPilot:
             detections=looks_of(observation.detections, dt),
         )
         self._tick = tick
-        sensor, occlusion = self._uav.sensor, None
+        sensor = self._uav.sensor
         if self._height is not None:
             self._height.see(observation)
-            sensor, occlusion = self._height.sensor, self._height.occlusion
+            sensor, self._occlusion = self._height.sensor, self._height.occlusion
             self._law.set_sensor(sensor)
             if self._policy is not None:
-                self._policy.sensor = sensor
+                self._policy.sensor, self._policy.occlusion = sensor, self._occlusion
         if before is not None and tick > before:
             (x, y), looked = observation.position, (tick - before) * dt
-            accumulate(self.coverage, x, y, sensor, self._uav.cell, looked, occlusion)
+            accumulate(self.coverage, x, y, sensor, self._uav.cell, looked, self._occlusion)
         if self.filter is not None:
             self.filter.see(observation)
 
@@ -225,7 +218,7 @@ class UavPilot:
             u_x, u_y = brake(own.v_x, own.v_y, uav.max_acceleration, uav.dt)
             return u_x, u_y
         self._call_user_function(observation)
-        u_x, u_y = self._law.command(self.coverage, observation.tick, own, target)
+        u_x, u_y = self._law.command(self.coverage, observation.tick, own, target, self._occlusion)
         u_x, u_y = clip_norm(u_x, u_y, uav.max_acceleration)
         return u_x, u_y
 

@@ -8,12 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from shapely import Polygon, contains_xy
 
 import outrider
+from agents.uav import UavPilot
 from bus.observations import ALTITUDE, UAV, by_name
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import fly
+from sim.engine.briefing import uav_briefing
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 
@@ -161,6 +164,21 @@ def test_own_map_shows_no_building_that_the_uav_does_not_know() -> None:
             maps.append(seen["coverage"])
     assert np.array_equal(maps[0], maps[1])
     assert not np.array_equal(maps[2], maps[3])
+
+
+def test_ground_under_known_buildings_counts_as_covered() -> None:
+    """Nobody can ever see it, so it must not draw a law."""
+    scenario = load_scenario("courtyard", overrides=["duration=2"])
+    loop = ClosedLoop(scenario, 1)
+    loop.begin([3])
+    own, desired = loop.state.maps[0, 0], scenario.coverage.desired
+    cell, house = scenario.area.cell, Polygon(scenario.building[0].polygon)
+    rows, columns = np.indices(own.shape)
+    under = contains_xy(house, (columns + 0.5) * cell, (rows + 0.5) * cell)
+    assert under.sum() > 1000
+    assert (own[under] == desired).all()
+    assert not own[~under].any()
+    assert np.array_equal(UavPilot(uav_briefing(scenario, "uav_0", 3)).coverage, own)
 
 
 def weave(k: int) -> Any:

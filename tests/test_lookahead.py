@@ -7,14 +7,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents.laws.horizon import Ahead, look_ahead, worth
+from agents.laws.candidates import worth
+from agents.laws.hidden_ground import no_views
+from agents.laws.horizon import Ahead, look_ahead
 from agents.uav import UavPilot
 from agents.uav_parameters import Target
 from bus.messages.scenario import Law
 from bus.messages.vehicle import UavObservation
 from flights import DESIRED, briefing_of, escort, flown_law, uav_sees
 from outrider.running.flying import fly
+from sim.models.buildings import building_table
 from sim.models.field import accumulate, coverage_error, empty_coverage
+from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion, step_vehicle
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Area
@@ -39,7 +43,9 @@ def _ahead(uav: Any, coverage: Any, tick: int, target: Target, persistence: floa
     return found._replace(margin=-100.0)
 
 
-def _flown(uav: Any, ahead: Ahead, motion: np.ndarray, samples: int) -> float:
+def _flown(
+    uav: Any, ahead: Ahead, motion: np.ndarray, samples: int, blocks: Occlusion | None = None
+) -> float:
     """Return the result of `worth` by the step and kernels of the world, with several sensing times in each step."""
     seen = empty_coverage(uav["width"], uav["height"], uav["cell"])
     seen[:, 12:] = 0.7
@@ -57,10 +63,10 @@ def _flown(uav: Any, ahead: Ahead, motion: np.ndarray, samples: int) -> float:
                 ]
                 if samples > 1 and part % (parts // samples) == parts // samples // 2:
                     place, time = state[:2], ahead.step / samples
-                    accumulate(seen, *place, *sensor, time)
+                    accumulate(seen, *place, *sensor, time, blocks)
             if samples == 1:
                 x, y = (0.5 * (a + b) for a, b in zip(began, state[:2], strict=True))
-                accumulate(seen, x, y, *sensor, ahead.step)
+                accumulate(seen, x, y, *sensor, ahead.step, blocks)
         after = (k + 1) * ahead.step
         place = (UGV.p_x + after * UGV.v_x, UGV.p_y + after * UGV.v_y)
         errors = (
@@ -84,6 +90,23 @@ def test_value_of_a_motion_matches_the_kernels_of_the_world(cell, samples, withi
         value = worth(c, ahead, HERE, motion, np.empty_like(ahead.lack), np.empty(8))
         assert value > 100.0
         assert value == pytest.approx(_flown(c, ahead, motion, samples), rel=within)
+
+
+def test_motion_is_worth_the_ground_that_it_will_see() -> None:
+    """The law takes the camera to be over the center of its coarse cell, so the value is not exact."""
+    c, rng = _uav(0.75), np.random.default_rng(3)
+    coverage = empty_coverage(36.0, 36.0, 0.75)
+    coverage[:, 12:] = 0.7
+    wall = [(15.0, 16.0), (19.0, 16.5), (19.0, 18.0), (15.0, 18.0)]
+    blocks = Occlusion(*building_table([(wall, 4.0)]), 6.0)
+    ahead = _ahead(c, coverage, 7, UGV, FOREVER)
+    for _ in range(5):
+        angle, speed = rng.uniform(0.0, 2.0 * math.pi, 9), rng.uniform(0.3, 0.6, 9)
+        motion = np.stack((speed * np.cos(angle), speed * np.sin(angle)), axis=-1)
+        work = np.empty_like(ahead.lack), np.empty(8)
+        value = worth(c, ahead, HERE, motion, *work, no_views(ahead, blocks))
+        assert value == pytest.approx(_flown(c, ahead, motion, 20, blocks), rel=0.05)
+        assert value < 0.8 * worth(c, ahead, HERE, motion, *work)
 
 
 def test_lookahead_penalizes_filtered_and_outside_motion() -> None:

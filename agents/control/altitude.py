@@ -7,11 +7,13 @@ altitude from which the sensor gains most on the ground around the UAV.
 import math
 
 from sim.compiling.compile import FloatArray, compiled
+from sim.compiling.lanes import LANES
 from sim.models.altitude import clip
 from sim.models.camera import CameraParameters, sensor_at
 from sim.models.field import density, penalty_slope
 from sim.models.grid import disc_chords
 from sim.models.sensor import SensorParameters, sensor_quality
+from sim.models.shadows import Occlusion, cast_shadow
 from sim.models.vehicles import speed_to_stop_within
 
 ABOVE_FLOOR = 0.05
@@ -48,6 +50,7 @@ def expected_gain(
     desired: float,
     sensor: SensorParameters,
     cell: float,
+    occlusion: Occlusion | None = None,
 ) -> float:
     r"""Return the rate at which a sensor here lowers e(t) of (4) [m²/s].
 
@@ -56,10 +59,12 @@ def expected_gain(
     Args:
         coverage: C on the grid.
         own, target: Position of the UAV, and estimated position of the UGV [m].
-        r_o, desired, sensor, cell: As in `sim.models.field.coverage_gradient`.
+        r_o, desired, sensor, cell, occlusion: As in `sim.models.field.coverage_gradient`.
     """
     rows, columns = coverage.shape
     first_row, chords = disc_chords(own[0], own[1], sensor.reach, cell, rows, columns)
+    if occlusion is not None:
+        shadow = cast_shadow(occlusion, own[0], own[1], sensor.reach, cell, first_row, chords)
     total = 0.0
     for n in range(chords.shape[1]):
         j, first, end = first_row + n, chords[0, n], chords[1, n]
@@ -70,7 +75,10 @@ def expected_gain(
             d_x, g_x = x - own[0], x - target[0]
             quality = sensor_quality(sensor, d_x * d_x + d_y * d_y)
             lack = penalty_slope(desired - coverage[j, i])
-            total += lack * quality * density(g_x * g_x + g_y * g_y, r_o)
+            gain = lack * quality * density(g_x * g_x + g_y * g_y, r_o)
+            if occlusion is not None:
+                gain = gain if shadow.winding[n, LANES + i - first] <= 0 else 0.0
+            total += gain
     return total * cell * cell
 
 
@@ -83,6 +91,7 @@ def best_altitude(
     sensor: SensorParameters,
     camera: CameraParameters,
     bounds: tuple[float, float],
+    occlusion: Occlusion | None = None,
 ) -> float:
     """Return the altitude with the largest expected gain; the lowest of equal ones [m].
 
@@ -92,14 +101,18 @@ def best_altitude(
         sensor: The sensor at the reference altitude.
         camera: The camera.
         bounds: Lowest and highest altitude to compare [m].
+        occlusion: Known buildings; None: there are none.
     """
     lowest, highest = bounds
     found, most = lowest, -1.0
     for k in range(CANDIDATES):
         z = lowest + (highest - lowest) * k / (CANDIDATES - 1)
-        gain = expected_gain(
-            coverage, own, target, area[0], area[1], sensor_at(sensor, camera, z), area[2]
-        )
+        seeing = sensor_at(sensor, camera, z)
+        if occlusion is None:
+            gain = expected_gain(coverage, own, target, area[0], area[1], seeing, area[2])
+        else:
+            seen = Occlusion(occlusion.buildings, occlusion.corners, z)
+            gain = expected_gain(coverage, own, target, area[0], area[1], seeing, area[2], seen)
         if gain > most * (1.0 + 1e-9):
             found, most = z, gain
     return found

@@ -7,6 +7,7 @@ from agents.laws.common import TrackingMemory, TrackingParameters, tracking_term
 from agents.uav_parameters import Target, UavParameters
 from bus.messages.base import Coordinate, Positive
 from sim.compiling.compile import FloatArray, compiled
+from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
 
 
@@ -31,6 +32,7 @@ def command(
     tick: int,
     own: Motion,
     target: Target,
+    occlusion: Occlusion | None = None,
 ) -> tuple[float, float]:
     """Return the nominal command [m/s²], before the bound of (1).
 
@@ -42,6 +44,7 @@ def command(
         tick: Current tick.
         own: Position [m] and velocity [m/s] of the UAV.
         target: Known estimate of the UGV.
+        occlusion: Known buildings as the UAV sees them; None: there are none.
     """
     r_pv = law.circle_radius if law.circle_radius < math.inf else uav.switching_radius
     p_vx, p_vy, a_vx, a_vy = circle(tick * uav.dt, r_pv, law.circle_rate)

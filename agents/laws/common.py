@@ -23,6 +23,7 @@ from bus.messages.base import Coordinate, Positive, Vector
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.field import coverage_gradient
 from sim.models.randomness import FIRST, START_DIRECTION, uniform
+from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion, norm
 
 _ON_THE_SPOT = 1e-9
@@ -136,6 +137,7 @@ def coverage_velocity_error(
     tick: int,
     own: Motion,
     target: Target,
+    occlusion: Occlusion | None = None,
 ) -> tuple[float, float]:
     """Return e_vel of (10) [m/s]: along (6), or along (7) if (6) is zero."""
     u_cov_x, u_cov_y, size = coverage_gradient(
@@ -148,6 +150,7 @@ def coverage_velocity_error(
         uav.desired_coverage,
         uav.sensor,
         uav.cell,
+        occlusion,
     )
     uncovered, other_x, other_y = True, 0.0, 0.0
     if is_zero_gradient(u_cov_x, u_cov_y, size):
@@ -175,9 +178,10 @@ def coverage_term(
     tick: int,
     own: Motion,
     target: Target,
+    occlusion: Occlusion | None = None,
 ) -> tuple[float, float]:
     """Return u_a,cov [m/s²] of (6) to (11), kept inside Q. Arguments as in a law's `command`."""
-    e_x, e_y = coverage_velocity_error(uav, law, memory, coverage, tick, own, target)
+    e_x, e_y = coverage_velocity_error(uav, law, memory, coverage, tick, own, target, occlusion)
     u_x, u_y = coverage_control(e_x, e_y, law.speed_gain)
     margin = border_margin(uav, law.reference_speed)
     return keep_off_border(u_x, u_y, own, law.speed_gain, uav.width, uav.height, margin, uav.dt)
@@ -193,11 +197,12 @@ def weighted_command(
     own: Motion,
     target: Target,
     weights: tuple[float, float],
+    occlusion: Occlusion | None = None,
 ) -> tuple[float, float]:
     """Return the combined command (17) [m/s²]. Arguments as in a law's `command`, and the weights alpha, beta."""
     x, y = own.p_x - target.p_x, own.p_y - target.p_y
     u_tr_x, u_tr_y = tracking_term(law, memory, uav.dt, x, y)
-    u_cov_x, u_cov_y = coverage_term(uav, law, memory, coverage, tick, own, target)
+    u_cov_x, u_cov_y = coverage_term(uav, law, memory, coverage, tick, own, target, occlusion)
     return combine(weights[0], weights[1], u_tr_x, u_tr_y, u_cov_x, u_cov_y)
 
 

@@ -3,6 +3,7 @@ r"""Law `coverage`: covers ground by (6) to (11), without tracking the UGV."""
 from agents.laws.common import CoverageMemory, CoverageParameters, weighted_command
 from agents.uav_parameters import Target, UavParameters
 from sim.compiling.compile import FloatArray, compiled
+from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
 
 
@@ -28,6 +29,7 @@ def command(
     tick: int,
     own: Motion,
     target: Target,
+    occlusion: Occlusion | None = None,
 ) -> tuple[float, float]:
     """Return the nominal command [m/s²], before the bound of (1).
 
@@ -39,5 +41,6 @@ def command(
         tick: Current tick.
         own: Position [m] and velocity [m/s] of the UAV.
         target: Known estimate of the UGV.
+        occlusion: Known buildings as the UAV sees them; None: there are none.
     """
-    return weighted_command(uav, law, memory, coverage, tick, own, target, (0.0, 1.0))
+    return weighted_command(uav, law, memory, coverage, tick, own, target, (0.0, 1.0), occlusion)

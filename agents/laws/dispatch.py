@@ -19,6 +19,7 @@ from bus.registry import LAWS
 from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.compiling.dispatch import commands
 from sim.compiling.records import RecordArray, fresh, record_type, records
+from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion, brake, clip_norm
 
 _ROWS = {row.name: row for row in LAWS.values() if row.module and not row.own}
@@ -79,6 +80,7 @@ def nominal_command(
     tick: int,
     own: Motion,
     target: Target,
+    occlusion: Occlusion | None = None,
 ) -> tuple[float, float]:
     """Return the command of a UAV from its law, within the bound of (1) [m/s²]; without an estimate, brake.
 
@@ -91,10 +93,11 @@ def nominal_command(
         tick: Current tick.
         own: State of the UAV.
         target: Estimate of the UGV.
+        occlusion: Known buildings as the UAV sees them; None: there are none.
     """
     row = place[1]
     if not target.known:
         return brake(own.v_x, own.v_y, uav.max_acceleration, uav.dt)
-    inputs = coverage, tick, own, target
+    inputs = coverage, tick, own, target, occlusion
     u_x, u_y = _law_command(tables.codes[row], uav, tables.parameters, memories, place, inputs)
     return clip_norm(u_x, u_y, uav.max_acceleration)

@@ -5,6 +5,7 @@ from agents.laws.common import CoverageMemory, CoverageParameters, distance_to, 
 from agents.uav_parameters import Target, UavParameters
 from bus.messages.base import Positive
 from sim.compiling.compile import FloatArray, compiled
+from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
 
 
@@ -35,6 +36,7 @@ def command(
     tick: int,
     own: Motion,
     target: Target,
+    occlusion: Occlusion | None = None,
 ) -> tuple[float, float]:
     """Return the nominal command [m/s²], before the bound of (1).
 
@@ -46,6 +48,7 @@ def command(
         tick: Current tick.
         own: Position [m] and velocity [m/s] of the UAV.
         target: Known estimate of the UGV.
+        occlusion: Known buildings as the UAV sees them; None: there are none.
     """
     shares = weights(uav, law, distance_to(target, own))
-    return weighted_command(uav, law, memory, coverage, tick, own, target, shares)
+    return weighted_command(uav, law, memory, coverage, tick, own, target, shares, occlusion)

@@ -13,21 +13,15 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
+from agents.laws.candidates import worth
 from agents.laws.common import LawParameters
-from agents.laws.horizon import (
-    LEGS,
-    PERIOD,
-    WINDOW,
-    Ahead,
-    copy,
-    leg_ticks,
-    look_ahead,
-    worth,
-)
+from agents.laws.hidden_ground import no_views
+from agents.laws.horizon import LEGS, PERIOD, WINDOW, Ahead, copy, leg_ticks, look_ahead
 from agents.uav_parameters import Target, UavParameters
 from bus.messages.base import Positive
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.randomness import LOOKAHEAD_MOTION, Key, draw, to_uniform
+from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion, clip_norm, norm
 
 _SLOTS = LEGS + 1  # legs in memory: a decision may be due within the first leg
@@ -187,6 +181,7 @@ def decide(
     tick: int,
     own: Motion,
     target: Target,
+    occlusion: Occlusion | None = None,
 ) -> None:
     """Choose the trajectory to fly, the current one or its best variant, and store it in the memory.
 
@@ -200,11 +195,12 @@ def decide(
     recall(memory, now, best)
     if law.candidates > 1:
         lack, gains = np.empty_like(ahead.lack), np.empty(WINDOW)
-        most = worth(uav, ahead, own, best, lack, gains)
+        views = no_views(ahead, occlusion)
+        most = worth(uav, ahead, own, best, lack, gains, views)
         for n in range(1, law.candidates):
             copy(best, tried)
             draw_motion(uav, ahead, own, tried, key, tick, n)
-            value = worth(uav, ahead, own, tried, lack, gains)
+            value = worth(uav, ahead, own, tried, lack, gains, views)
             if value > most:
                 most = value
                 copy(tried, best)
@@ -225,10 +221,11 @@ def command(
     tick: int,
     own: Motion,
     target: Target,
+    occlusion: Occlusion | None = None,
 ) -> tuple[float, float]:
     """Return the nominal command [m/s²], before the bound of (1). Arguments as in every law's `command`."""
     if tick >= memory.due:
-        decide(uav, law, memory, coverage, tick, own, target)
+        decide(uav, law, memory, coverage, tick, own, target, occlusion)
         period = max(1, round(PERIOD / uav.dt))
         memory.due = (tick // period + 1) * period
     velocities: Any = memory.velocities

@@ -5,6 +5,7 @@ from agents.laws.common import TrackingMemory, TrackingParameters, tracking_term
 from agents.uav_parameters import Target, UavParameters
 from bus.messages.base import Vector
 from sim.compiling.compile import FloatArray, compiled
+from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
 
 
@@ -30,6 +31,7 @@ def command(
     tick: int,
     own: Motion,
     target: Target,
+    occlusion: Occlusion | None = None,
 ) -> tuple[float, float]:
     """Return the nominal command [m/s²], before the bound of (1).
 
@@ -41,6 +43,7 @@ def command(
         tick: Current tick.
         own: Position [m] and velocity [m/s] of the UAV.
         target: Known estimate of the UGV.
+        occlusion: Known buildings as the UAV sees them; None: there are none.
     """
     x, y = own.p_x - target.p_x, own.p_y - target.p_y
     p_v, a_v = memory.offset, memory.acceleration

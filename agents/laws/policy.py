@@ -14,6 +14,7 @@ from bus.observations import ALTITUDE, GRADIENT, UAV, Row, clipped
 from bus.ticks import Look, looks_of
 from sim.compiling.compile import FloatArray
 from sim.models.field import coverage_gradient, sample
+from sim.models.shadows import Occlusion
 
 UavPolicy = Callable[[Any], object]
 """Function that maps a UAV's observations in a batch of worlds to its accelerations [m/s²].
@@ -101,6 +102,8 @@ class PolicyControl:
         self._newest = -1
         self.sensor = uav.sensor
         """Sensor of the UAV at its altitude."""
+        self.occlusion: Occlusion | None = None
+        """Known buildings as the UAV sees them; None: there are none."""
         self._climbs = briefing.altitude is not None
         self.vertical = 0.0
         """Vertical acceleration of the last answer [m/s²]; 0 for a UAV that flies in the plane."""
@@ -180,6 +183,7 @@ class PolicyControl:
             c.desired_coverage,
             self.sensor,
             c.cell,
+            self.occlusion,
         )
         return (u_x / size, u_y / size) if size > 0.0 else (0.0, 0.0)
 

@@ -14,6 +14,7 @@ from sim.compiling.compile import FloatArray
 from sim.compiling.records import fill, fresh, records
 from sim.models.randomness import words_of
 from sim.models.sensor import SensorParameters
+from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
 
 
@@ -71,8 +72,14 @@ class SelectedLaw:
             fill(self._fixed[0][0]["sensor"], sensor)
 
     def command(
-        self, coverage: FloatArray, tick: int, own: Motion, target: Target
+        self,
+        coverage: FloatArray,
+        tick: int,
+        own: Motion,
+        target: Target,
+        occlusion: Occlusion | None = None,
     ) -> tuple[float, float]:
-        """Return the nominal command [m/s²], before the bound of (1)."""
-        u_x, u_y = self._command(*(rows[0] for rows in self._fixed), coverage, tick, own, target)
+        """Return the nominal command [m/s²], before the bound of (1). Arguments as in a law's `command`."""
+        fixed = (rows[0] for rows in self._fixed)
+        u_x, u_y = self._command(*fixed, coverage, tick, own, target, occlusion)
         return u_x, u_y

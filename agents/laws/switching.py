@@ -4,6 +4,7 @@ from agents.control.weighting import switching_weights
 from agents.laws.common import CoverageMemory, CoverageParameters, distance_to, weighted_command
 from agents.uav_parameters import Target, UavParameters
 from sim.compiling.compile import FloatArray, compiled
+from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
 
 
@@ -29,6 +30,7 @@ def command(
     tick: int,
     own: Motion,
     target: Target,
+    occlusion: Occlusion | None = None,
 ) -> tuple[float, float]:
     """Return the nominal command [m/s²], before the bound of (1).
 
@@ -40,6 +42,7 @@ def command(
         tick: Current tick.
         own: Position [m] and velocity [m/s] of the UAV.
         target: Known estimate of the UGV.
+        occlusion: Known buildings as the UAV sees them; None: there are none.
     """
     shares = weights(uav, law, distance_to(target, own))
-    return weighted_command(uav, law, memory, coverage, tick, own, target, shares)
+    return weighted_command(uav, law, memory, coverage, tick, own, target, shares, occlusion)

@@ -3,6 +3,7 @@ r"""Law `tracking`: tracks the UGV, Klodt 2015, eq. (15) and (16)."""
 from agents.laws.common import TrackingMemory, TrackingParameters, tracking_term
 from agents.uav_parameters import Target, UavParameters
 from sim.compiling.compile import FloatArray, compiled
+from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
 
 
@@ -28,6 +29,7 @@ def command(
     tick: int,
     own: Motion,
     target: Target,
+    occlusion: Occlusion | None = None,
 ) -> tuple[float, float]:
     """Return the nominal command [m/s²], before the bound of (1).
 
@@ -39,6 +41,7 @@ def command(
         tick: Current tick.
         own: Position [m] and velocity [m/s] of the UAV.
         target: Known estimate of the UGV.
+        occlusion: Known buildings as the UAV sees them; None: there are none.
     """
     x, y = own.p_x - target.p_x, own.p_y - target.p_y
     return tracking_term(law, memory, uav.dt, x, y)

@@ -3,6 +3,7 @@ r"""Law `weighted`: both terms of (17), weighted by a user's function."""
 from agents.laws.common import CoverageMemory, CoverageParameters, weighted_command
 from agents.uav_parameters import Target, UavParameters
 from sim.compiling.compile import FloatArray, compiled
+from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
 
 
@@ -26,6 +27,7 @@ def command(
     tick: int,
     own: Motion,
     target: Target,
+    occlusion: Occlusion | None = None,
 ) -> tuple[float, float]:
     """Return the nominal command [m/s²], before the bound of (1).
 
@@ -37,6 +39,7 @@ def command(
         tick: Current tick.
         own: Position [m] and velocity [m/s] of the UAV.
         target: Known estimate of the UGV.
+        occlusion: Known buildings as the UAV sees them; None: there are none.
     """
     shares = memory.alpha, memory.beta
-    return weighted_command(uav, law, memory, coverage, tick, own, target, shares)
+    return weighted_command(uav, law, memory, coverage, tick, own, target, shares, occlusion)

@@ -178,7 +178,9 @@ class ClosedLoop:
         pixels = patch.pixels if patch else 1
         state = LoopState(
             **self.state._asdict(),
-            maps=repeated(batch.state.coverage[0], worlds, uavs if parameters.own_maps else 0),
+            maps=repeated(numbers.maps if parameters.own_maps else numbers.maps[:0], worlds, 1)[
+                :, 0
+            ],
             uavs=repeated(numbers.laws.uavs, worlds, 1)[:, 0],
             heights=repeated(numbers.climbs, worlds, 1)[:, 0],
             laws=law_memories(numbers.laws, worlds),

@@ -7,6 +7,7 @@ world is processed in one pass, so that its grid stays in the cache until the ti
 from agents.estimation.batch_filter import estimate
 from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
 from outrider.envs.command_tick import apply_actions, command
+from outrider.envs.height_tick import occlusion_at
 from outrider.envs.perception_tick import perceive
 from outrider.envs.vehicle_parts import coverage_of
 from sim.channel.link_records import ARRIVED
@@ -31,6 +32,7 @@ def _add_cues(
 ) -> None:
     """Write the estimate and the gradient into a UAV's row, if they are required and known."""
     world_parameters, row = tables.batch.world[0], state.rows.uav_rows[world, uav]
+    escorts = tables.batch.escorts
     row.gradient_x, row.gradient_y = 0.0, 0.0
     target = estimate(state.kalman, world, uav)
     if not target.known:
@@ -41,6 +43,7 @@ def _add_cues(
         row.detected, row.relative_x, row.relative_y = 1.0, x - g_x, y - g_y
         row.age = state.kalman[world, uav, 0].age * world_parameters.dt
     if parameters.gradient:
+        own, vehicle = state.uavs[world, uav], state.batch.vehicles[world, escorts[uav, 0]]
         u_x, u_y, size = coverage_gradient(
             coverage_of(parameters, state, world, uav),
             x,
@@ -49,8 +52,9 @@ def _add_cues(
             g_y,
             world_parameters.r_o,
             world_parameters.desired,
-            state.uavs[world, uav].sensor,
+            own.sensor,
             world_parameters.cell,
+            occlusion_at(tables.heights, own, uav, vehicle),
         )
         if size > 0.0:
             row.gradient_x, row.gradient_y = u_x / size, u_y / size

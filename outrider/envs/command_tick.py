@@ -14,7 +14,7 @@ from outrider.envs.closed_loop_state import (
     LoopState,
     LoopTables,
 )
-from outrider.envs.height_tick import climb, filter_at
+from outrider.envs.height_tick import climb, filter_at, occlusion_at
 from outrider.envs.vehicle_parts import coverage_of, filter_of, grid_of, reference_of
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
 from sim.compiling.records import RecordArray
@@ -47,10 +47,11 @@ def _fly(
     if tables.action_row[vehicle] < 0:
         coverage = coverage_of(parameters, state, world, uav)
         own = state.uavs[world, uav]
+        occlusion = occlusion_at(tables.heights, own, uav, one)
         u_x, u_y = nominal_command(
-            tables.laws, own, state.laws, (world, uav), coverage, tick, here, target
+            tables.laws, own, state.laws, (world, uav), coverage, tick, here, target, occlusion
         )
-        u_z = climb(tables.heights, state, (world, uav), one, here, coverage, target)
+        u_z = climb(tables.heights, state, (world, uav), one, here, coverage, target, occlusion)
     else:
         action = actions[tables.action_row[vehicle]]
         u_x, u_y, u_z = action[0], action[1], action[2]

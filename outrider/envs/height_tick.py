@@ -47,6 +47,7 @@ def climb(
     here: Motion,
     coverage: FloatArray,
     target: Target,
+    occlusion: Occlusion | None,
 ) -> float:
     """Return the vertical acceleration of a UAV's altitude law [m/s²]; 0 in the plane.
 
@@ -58,6 +59,7 @@ def climb(
         here: Its horizontal state.
         coverage: Its own map. Shape (rows, columns).
         target: Estimate of the UGV.
+        occlusion: Known buildings, from `occlusion_at`.
     """
     if heights is None or not vehicle.vertical.flies:
         return 0.0
@@ -71,6 +73,7 @@ def climb(
         vehicle.vertical,
         coverage,
         target,
+        occlusion,
     )
     return command
 

@@ -15,6 +15,7 @@ from agents.estimation.motion_model import (
     KalmanParameters,
     kalman_parameters,
 )
+from agents.estimation.own_map import own_map
 from agents.height import HeightMemory, HeightParameters, height_memory, height_parameters
 from agents.laws.dispatch import CODES, law_tables
 from agents.laws.selection import SelectedLaw
@@ -32,6 +33,7 @@ from sim.engine.briefing import uav_briefing, ugv_briefing
 from sim.env.patch import given_patch
 from sim.env.settings import Settings
 from sim.models.buildings import building_table
+from sim.models.field import empty_coverage
 from sim.models.safety import SafetyBounds
 from sim.scenario.types import Scenario
 
@@ -139,6 +141,10 @@ class PilotNumbers:
             [fresh(HeightMemory, (0,)), *map(height_memory, uav_briefings)]
         )
         """`HeightMemory` of each UAV at the start. Shape (UAVs,)."""
+        area = scenario.area
+        none = empty_coverage(area.width, area.height, area.cell)[None][:0]
+        self.maps = np.concatenate([none, *(own_map(one)[None] for one in uav_briefings)])
+        """Own map of each UAV at the start. Shape (UAVs, rows, columns)."""
         self.heights = height_tables(uav_briefings) if scenario.has_altitude else None
         self.kalman = records(
             KalmanParameters,

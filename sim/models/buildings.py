@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray, records
@@ -143,6 +144,25 @@ def building_distance(
             distance = distance_to_polygon(corners, row["first"], row["corners"], x, y)
             nearest = min(nearest, distance)
     return nearest
+
+
+@compiled
+def footprint_cells(
+    buildings: RecordArray, corners: FloatArray, cell: float, shape: tuple[int, int]
+) -> npt.NDArray[np.bool_]:
+    """Return the cells of a grid whose centers are under a building. Shape (rows, columns).
+
+    Args:
+        buildings, corners: Tables as from `building_table`.
+        cell: Width of a cell [m].
+        shape: Rows and columns of the grid.
+    """
+    covered = np.zeros(shape, dtype=np.bool_)
+    for j in range(shape[0]):
+        for i in range(shape[1]):
+            x, y = (i + 0.5) * cell, (j + 0.5) * cell
+            covered[j, i] = building_distance(buildings, corners, x, y, 0.0) == 0.0
+    return covered
 
 
 @compiled
