@@ -21,7 +21,7 @@ from agents.estimation.motion_model import (
 )
 from bus.messages.scenario import Detector, Estimator, Limits
 from bus.messages.vehicle import Detection
-from bus.ticks import Look, looks_of
+from bus.ticks import looks_of
 from seeded import a_key
 from sim.compiling.compile import released
 from sim.compiling.records import records
@@ -94,7 +94,7 @@ def _filter(parameters, rows, own, arrived, detections, states, axes, innovation
 def filtered(own, at, noise=SIGMA, cut=3.0, target=UGV, dt=DT, **chosen) -> Filtered:
     """Fly a whole run with the filter of the batches, which takes thousands of runs in little time.
 
-    Another test compares it with the pilots' filter; `pilots_filtered` flies the same run with that filter.
+    test_batch_filter compares it with the pilots' filter.
 
     Args:
         own: Position of the UAV at each tick. Shape (ticks, 2).
@@ -115,33 +115,6 @@ def filtered(own, at, noise=SIGMA, cut=3.0, target=UGV, dt=DT, **chosen) -> Filt
     return Filtered(states, np.kron(axes, np.eye(2)), innovations, rows["rejected"][0, 0, 0])
 
 
-def pilots_filtered(own, at, **chosen) -> Filtered:
-    """Fly the same run with the pilots' filter."""
-    estimator, rejected, unknown = make(**chosen), 0, np.full((4, 4), math.nan)
-    rows = [(unknown[0], unknown, math.nan)] * len(own)
-    for k, place in enumerate(np.asarray(own).tolist()):
-        received = tuple(Look(int(taken), x, y) for taken, x, y in at.get(k, ()))
-        estimate = estimator.update(tick=k, own_position=tuple(place), detections=received)
-        if estimate:
-            rejected = estimate.rejected - estimator.misdated
-            newest = (
-                estimator.innovation_squared if any(one.taken == k for one in received) else None
-            )
-            innovation = math.nan if newest is None else newest
-            rows[k] = (estimator.state, estimator.covariance, innovation)
-    states, covariances, innovations = map(np.array, zip(*rows, strict=True))
-    return Filtered(states, covariances, innovations, rejected)
-
-
-def by_both(seed, own, at, **chosen) -> Filtered:
-    """Fly a run with the filter of the batches, and for seed 0 also with the pilots' filter."""
-    found = filtered(own, at, **chosen)
-    if seed == 0:
-        for ours, theirs in zip(found, pilots_filtered(own, at, **chosen), strict=True):
-            np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10)
-    return found
-
-
 def updated(estimator, tick, seen=None, own=(0.0, 0.0), dt=DT) -> Estimate | None:
     """Update the estimator; `seen` is the detected position of the UGV in the world frame, or None."""
     detections = ()
@@ -152,19 +125,7 @@ def updated(estimator, tick, seen=None, own=(0.0, 0.0), dt=DT) -> Estimate | Non
     return estimator.update(tick=tick, own_position=own, detections=looks_of(detections, dt))
 
 
-def cached(flown):
-    """Cache the results of a function as read-only arrays."""
-
-    @functools.cache
-    def cached_call(*given, **named):
-        states = flown(*given, **named)
-        states.setflags(write=False)
-        return states
-
-    return cached_call
-
-
-@cached
+@functools.cache
 def cut_noise(seed, count, sigma=SIGMA, cut=3.0):
     return np.array(
         [cut_normal_vector(sigma, cut, a_key(seed), DETECTION_NOISE, k, 0) for k in range(count)]
@@ -201,15 +162,19 @@ def squared(errors, covariances):
     return np.einsum("...i,...i", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
 
 
-def within(average, degrees, count, sure=0.999):
-    """Return whether an average of `count` chi-square values lies in its two-sided interval; print both."""
+def check_within(average, degrees, count, sure=0.999):
+    """Check that an average of `count` chi-square values lies in its two-sided interval."""
     tail = 0.5 * (1.0 - sure)
     lower, upper = chi2.ppf([tail, 1.0 - tail], degrees * count) / count
-    print(f"average {average:.4f}, interval [{lower:.4f}, {upper:.4f}]")  # noqa: T201
-    return lower <= average <= upper
+    assert lower <= average <= upper
 
 
-@cached
+def check_below(average, degrees, count):
+    """Check that an average of `count` chi-square values is not significantly too large."""
+    assert average <= chi2.ppf(0.9995, degrees * count) / count
+
+
+@functools.cache
 def drive(seed, count, legs):
     """Return the states of a UGV on straight legs at v_g,max, with a stop at each corner."""
     rng = np.random.default_rng(seed)
