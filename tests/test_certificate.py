@@ -390,7 +390,10 @@ def test_failed_assumption_is_named_with_its_numbers(numbers, text):
 @pytest.mark.parametrize(
     ("numbers", "text"),
     [
-        ({"u_a": 1.9e-6, "v_a": 1e-3, "v_g": 0.0}, "too little to detect a lost command"),
+        (
+            {"u_a": 0.9e-8, "v_a": 1e-3, "v_g": 0.0, "dt": 10.0},
+            "too little to detect a lost command",
+        ),
         ({"dt": 1e-3, "age": 1001.0, "v_g": 0.0}, "allowed: less than 1,000,000 ticks"),
         ({"width": 1e6, "age": 9000.0, "v_g": 1e-5}, "more than the margin covers"),
     ],
@@ -413,6 +416,9 @@ def test_lost_commands_cost_the_command_interval_less_a_tick() -> None:
     assert lossy.handover_bound == pytest.approx(
         perfect.handover_bound - perfect.v_a * (2.0 - perfect.dt)
     )
+    most = handover.largest_interval(perfect)
+    assert math.isnan(bounds_with(age=1.0, interval=most + 0.1).handover_radius)
+    assert not math.isnan(bounds_with(age=1.0, interval=most - 0.1).handover_radius)
 
 
 ROOM = {"age": 1.0, "width": 10.0, "height": 10.0}

@@ -1,6 +1,5 @@
 """Commands with backup trajectories: the vehicle follows the checked trajectory while commands are lost."""
 
-import math
 from pathlib import Path
 
 import msgspec
@@ -9,21 +8,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.safety.handover import largest_interval
 from agents.safety.safety_filter import SafetyFilter
 from bus.messages.decision import NotCertified
 from bus.messages.vehicle import MOST_CARRIED, BackupTrajectory, UavCommand
-from flights import DECLARED_BOUNDS, EVADED, briefing_of, certified, flown_in_both, uav_sees
+from flights import EVADED, briefing_of, flown_in_both, uav_sees
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
-from processes import flown_both_ways
 from sim.compiling.records import struct_of
 from sim.models.motion import received_motion
-from sim.scenario.types import Certificate, LinkTable, Uav
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Certificate
 from sim.server.flight import Flight
 from sim.world import World
-from worlds import LOSSY, SCENARIOS, raw, small
+from staging import stage
+from worlds import SCENARIOS, raw, small
 
 LOST = SCENARIOS["lost commands"]
 RECORDED = Path(__file__).resolve().parent.parent / "examples" / "networks" / "wifi-far.csv"
@@ -55,23 +54,19 @@ def flown(world: World, commands: dict[int, tuple[BackupTrajectory, ...]], ticks
 # -- the receiver
 
 
-def test_early_trajectory_starts_in_its_own_tick() -> None:
-    assert flown(still(), {0: (rest(4),)}, 6) == [None, None, None, None, 4, 4]
-
-
-def test_late_trajectory_never_starts() -> None:
-    assert flown(still(), {3: (rest(2),)}, 8) == [None] * 8
-
-
-def test_trajectory_starts_only_if_its_parent_is_flown() -> None:
-    world = still()
-    chain = {0: (rest(0),), 1: (rest(1, 0),), 2: (rest(2, 0),), 3: (rest(3, 1),)}
-    assert flown(world, chain, 5) == [0, 1, 1, 3, 3]  # 2 follows 0, which is no longer flown
-
-
-def test_command_repeats_the_trajectories_of_lost_commands() -> None:
-    world = still()
-    assert flown(world, {3: (rest(3), rest(4, 3), rest(5, 4))}, 7) == [None, None, None, 3, 4, 5, 5]
+@pytest.mark.parametrize(
+    ("commands", "wanted"),
+    [
+        ({0: (rest(4),)}, [None, None, None, None, 4, 4]),
+        ({3: (rest(2),)}, [None] * 8),
+        # 2 follows 0, which is no longer flown
+        ({0: (rest(0),), 1: (rest(1, 0),), 2: (rest(2, 0),), 3: (rest(3, 1),)}, [0, 1, 1, 3, 3]),
+        ({3: (rest(3), rest(4, 3), rest(5, 4))}, [None, None, None, 3, 4, 5, 5]),
+    ],
+    ids=["early", "too late", "only after its parent", "repeated from lost commands"],
+)
+def test_trajectory_starts_in_its_own_tick(commands, wanted) -> None:
+    assert flown(still(), commands, len(wanted)) == wanted
 
 
 def test_trajectory_is_flown_to_its_end_and_the_vehicle_rests() -> None:
@@ -169,14 +164,19 @@ def test_lost_commands_fly_alike_in_environment_and_run() -> None:
     assert summary.certified_share == 1.0
 
 
-def test_lossy_recorded_links_fly_alike_over_three_processes() -> None:
+def test_lossy_recorded_links_fly_alike_over_the_bus(tmp_path: Path) -> None:
     links = ("links.commands.loss=0.4", "links.commands.jitter=0.1", "links.commands.delay=0.1")
-    recorded = (f"links.detections.trace={RECORDED}", "certificate.max_measurement_age=3.0")
-    there, here = flown_both_ways(
-        "escort", *EVADED, *links, "certificate.max_command_interval=3.0", *recorded, seed=3
-    )
-    assert there["certified_share"] == here.certified_share > 0.99  # from the first detection on
-    assert there["links"]["uav_0/detections"]["lost"]["trace"] > 0
+    bounds = ("certificate.max_command_interval=3.0", "certificate.max_measurement_age=3.0")
+    recorded = f"links.detections.trace={RECORDED}"
+    scenario = load_scenario("escort", overrides=[*EVADED, *links, *bounds, recorded])
+    here, summary = fly(scenario, scenario.seed)
+    assert summary.certified_share > 0.99  # from the first detection on
+    assert summary.links["uav_0/detections"].lost["trace"] > 0
+    with stage(tmp_path, here.world.tick, scenario=scenario) as run:
+        run.start_both()
+        over_bus = run.fly()
+    assert over_bus.recorder.sha256() == summary.trajectory_sha256
+    assert over_bus.world.links.status() == summary.links
 
 
 def test_excessive_trajectories_are_counted_and_reported_once(caplog) -> None:
@@ -200,26 +200,8 @@ def test_excessive_trajectories_are_counted_and_reported_once(caplog) -> None:
 # -- the theorem
 
 
-def test_command_interval_costs_radius_and_age() -> None:
-    paper = DECLARED_BOUNDS | {"eps": 0.3, "age": 5.0}
-    numbers = [certified(**paper, interval=b) for b in (0.05, 1.0, 4.0)]
-    assert [c.handover_bound for c in numbers] == sorted(
-        (c.handover_bound for c in numbers), reverse=True
-    )
-    assert all(c.handover_radius <= numbers[0].handover_radius for c in numbers)
-    most = largest_interval(numbers[0])
-    assert math.isnan(certified(**paper, interval=most + 0.1).handover_radius)
-    assert not math.isnan(certified(**paper, interval=most - 0.1).handover_radius)
-
-
 def test_filtered_policy_keeps_sight_while_commands_are_lost() -> None:
-    scenario = small(
-        "certified",
-        links=LinkTable(commands=LOSSY),
-        certificate=Certificate(max_command_delay=0.4, max_command_interval=2.0),
-        duration=40.0,
-    )
-    env = parallel_env(scenario, safety_filter=True)
+    env = parallel_env(LOST, safety_filter=True, duration=40.0)
     env.reset(seed=2)
     certified, interventions = [], 0
     while env.agents:
@@ -227,21 +209,9 @@ def test_filtered_policy_keeps_sight_while_commands_are_lost() -> None:
         _, _, _, _, infos = env.step({"uav_0": away, "ugv_0": -away})
         certified.append(infos["uav_0"]["certified"])
         interventions += infos["uav_0"]["overridden"]
-    assert env.world.tick == scenario.ticks
+    assert len(certified) == 800
     assert all(certified)
     assert interventions > 0
-
-
-def test_undeclared_command_gap_is_reported_by_name() -> None:
-    scenario = small(
-        "certified",
-        links=LinkTable(commands=msgspec.structs.replace(LOSSY, blackouts=((5.0, 3.0),))),
-        certificate=Certificate(max_command_delay=0.4, max_command_interval=2.0),
-    )
-    _, summary = fly(scenario, 1)
-    assert summary.uncertified[NotCertified.COMMAND_INTERVAL] >= 15
-    assert summary.certified_while_lost == summary.certificate_broken == 0
-    assert summary.certified_share > 0.8
 
 
 def reasons(
@@ -289,14 +259,9 @@ def test_trajectory_of_another_pilot_is_not_trusted() -> None:
 
 def test_reported_trajectory_does_not_depend_on_the_ugv() -> None:
     """It follows from the UAV's links and trajectories alone, so that two different UGVs give the same result."""
-    scenario = small(
-        "certified",
-        links=LinkTable(commands=LOSSY),
-        certificate=Certificate(max_command_delay=0.4, max_command_interval=2.0),
-    )
     runs = []
     for push in ((0.1, 0.0), (-0.05, 0.08)):
-        world = World(scenario, 4)
+        world = World(LOST, 4)
         answers = []
         for tick in range(200):
             last = world.flown(0)
@@ -309,9 +274,3 @@ def test_reported_trajectory_does_not_depend_on_the_ugv() -> None:
         assert {one for one in answers if one is not None} <= set(range(8, 208))
     assert runs[0] == runs[1]
     assert len(set(runs[0])) > 10
-
-
-def test_uavs_alone_have_receivers() -> None:
-    world = still()
-    follows = world.vehicles["follows_motions"].tolist()
-    assert follows == [isinstance(v, Uav) for v in world.scenario.vehicles]
