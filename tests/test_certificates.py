@@ -30,7 +30,6 @@ from bus.credentials import (
     new_credentials,
     read_credential,
     read_credentials,
-    replace_credentials,
     write_credentials,
 )
 from bus.errors import AccessDenied
@@ -40,7 +39,6 @@ from bus.messages.vehicle import UavCommand
 from bus.session import Session
 from processes import free_port
 from staging import client_of, hosted, raw_session, zenoh_of
-from tabular import rows
 
 RUN = "run"
 AUTHORITY, FOREIGN = new_authority(RUN), new_authority(RUN)
@@ -98,51 +96,49 @@ def mixed(**parts: str) -> Identity:
 
 
 @pytest.mark.parametrize(
-    ("made", "phrase"),
+    ("invalid", "phrase"),
     [
-        (lambda: identity("ugv_0"), "the certificate of uav_0 is for ugv_0"),
-        (lambda: identity(days=-0.5), "the certificate of uav_0 has expired on"),
-        (lambda: mixed(key=identity().key), "and its key do not match"),
-        (
-            lambda: mixed(authority=FOREIGN.certificate),
-            "was issued by another authority than the one",
-        ),
-        (lambda: mixed(certificate="garbage"), "not a certificate in PEM"),
-        (lambda: mixed(key="garbage"), "not a private key in PEM"),
+        (identity("ugv_0"), "the certificate of uav_0 is for ugv_0"),
+        (identity(days=-0.5), "the certificate of uav_0 has expired on"),
+        (mixed(key=identity().key), "and its key do not match"),
+        (mixed(authority=FOREIGN.certificate), "was issued by another authority than the one"),
+        (mixed(certificate="garbage"), "not a certificate in PEM"),
+        (mixed(key="garbage"), "not a private key in PEM"),
     ],
     ids=["another's", "expired", "another key", "another authority", "garbage", "garbage key"],
 )
-def test_invalid_certificate_is_named_before_connecting(made, phrase):
+def test_invalid_certificate_is_named_before_connecting(invalid, phrase):
     with pytest.raises(AccessDenied, match=phrase):
-        check_identity(made(), "uav_0")
-    assert phrase in refusal("tls/127.0.0.1:1", known_as(made()))
+        check_identity(invalid, "uav_0")
+    assert phrase in refusal("tls/127.0.0.1:1", known_as(invalid))
 
 
-@pytest.mark.parametrize(
-    ("kind", "phrase"),
-    rows("""
-no certificate | requires certificates; make them with `outrider credentials --tls`
-a password | requires certificates; make them with `outrider credentials --tls`
-a foreign authority | has a certificate that was issued by another authority than this process' own
-a foreign authority that trusts ours | does not trust the authority of this certificate
-a router's certificate | says that this certificate is not for a client
-expired | says that this certificate has expired
-"""),
-)
-def test_router_refuses_strangers_with_a_reason(
-    endpoint: str, kind: str, phrase: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    foreign = identity(authority=FOREIGN)
-    credential = {
-        "no certificate": None,
-        "a password": new_credentials(RUN, ["uav_0"], []).of("uav_0"),
-        "a foreign authority": known_as(foreign),
-        "a foreign authority that trusts ours": known_as(
-            msgspec.structs.replace(foreign, authority=AUTHORITY.certificate)
-        ),
-        "a router's certificate": known_as(identity(hosts=("127.0.0.1",))),
-        "expired": known_as(identity(days=-0.5)),
-    }[kind]
+OTHERS = identity(authority=FOREIGN)
+TRUSTING = msgspec.structs.replace(OTHERS, authority=AUTHORITY.certificate)
+STRANGERS = {
+    "no certificate": (None, "requires certificates; make them with `outrider credentials --tls`"),
+    "a password": (
+        new_credentials(RUN, ["uav_0"], []).of("uav_0"),
+        "requires certificates; make them with `outrider credentials --tls`",
+    ),
+    "a foreign authority": (
+        known_as(OTHERS),
+        "has a certificate that was issued by another authority than this process' own",
+    ),
+    "a foreign authority that trusts ours": (
+        known_as(TRUSTING),
+        "does not trust the authority of this certificate",
+    ),
+    "a router's certificate": (
+        known_as(identity(hosts=("127.0.0.1",))),
+        "says that this certificate is not for a client",
+    ),
+    "expired": (known_as(identity(days=-0.5)), "says that this certificate has expired"),
+}
+
+
+@pytest.mark.parametrize(("credential", "phrase"), STRANGERS.values(), ids=STRANGERS)
+def test_router_refuses_strangers_with_a_reason(endpoint, credential, phrase, monkeypatch):
     monkeypatch.setattr(joining, "_check_certificate", lambda *_: None)  # the router decides here
     with hosted(endpoint, GIVEN):
         with pytest.raises(zenoh.ZError):
@@ -238,14 +234,6 @@ def test_expiry_is_reported_a_month_ahead(endpoint: str, caplog: pytest.LogCaptu
     ]
 
 
-def test_renewed_credentials_stay_private(tmp_path: Path) -> None:
-    path = write_credentials(GIVEN, tmp_path / "made", AUTHORITY)["uav_0"]
-    replace_credentials(known_as(identity()), path)
-    assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    assert read_credential(path).tls != UAV.tls
-    assert not [left for left in path.parent.iterdir() if left.name.startswith(".")]
-
-
 def test_the_command_makes_checks_and_renews(tmp_path, command):
     folder = str(tmp_path / "made")
 
@@ -261,6 +249,8 @@ def test_the_command_makes_checks_and_renews(tmp_path, command):
         "run": RUN,
         "files": {"uav_0": f"{folder}/uav_0.json"},
     }
+    assert stat.S_IMODE((tmp_path / "made" / "uav_0.json").stat().st_mode) == 0o600
+    assert not list((tmp_path / "made").glob(".*"))
     code, report = credentials("--check")
     notes = {Path(row["file"]).stem: row["note"] for row in report["credentials"] if row["note"]}
     assert code == 0
