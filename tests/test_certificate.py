@@ -105,9 +105,7 @@ def test_dropped_discs_can_only_raise_the_bound(seed: int, eps: float) -> None:
 
 
 @pytest.mark.parametrize("v_g", [0.0, V_G])
-def test_late_detection_never_replaces_a_newer_one(
-    v_g: float,
-) -> None:
+def test_late_detection_never_replaces_a_newer_one(v_g: float) -> None:
     """Both discs of a UGV that cannot move are equal."""
     kept = discs.no_discs()
     for taken in (10, 1, 10):

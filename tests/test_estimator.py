@@ -13,7 +13,6 @@ from bus.ticks import Look
 from filters import (
     DT,
     FREE,
-    PUSH,
     SIGMA,
     UGV,
     VARIANCE,
@@ -68,41 +67,6 @@ def test_equals_the_equations_written_out_by_hand(target):
         assert estimate.position == tuple(estimator.state[:2])
         assert estimate.velocity == tuple(estimator.state[2:])
         assert estimate.covariance == pytest.approx((P[0, 0], 0.0, P[1, 1]), rel=1e-9)
-
-
-def test_equals_batch_least_squares_over_the_whole_trajectory():
-    # Unknowns: the first state and the acceleration at each tick. The estimate is a linear function of their
-    # least-squares solution.
-    rng = np.random.default_rng(2)
-    estimator = make(target=FREE, gate=1e12)
-    F, _ = model()
-    deviation = deviation_of(target=FREE, acceleration_share=Estimator().acceleration_share, dt=DT)
-    count = 60
-    size = 4 + 2 * count
-    to_state = np.eye(4, size)
-    information, right = np.zeros((size, size)), np.zeros(size)
-    information[4:, 4:] = np.eye(2 * count) / deviation**2
-    truth = np.array([5.0, -3.0, 0.2, 0.1])
-    for k in range(count + 1):
-        if k:
-            w = deviation * rng.normal(size=2)
-            truth = F @ truth + PUSH @ w
-            to_state = F @ to_state
-            to_state[:, 2 + 2 * k : 4 + 2 * k] += PUSH
-        seen = truth[:2] + SIGMA * rng.normal(size=2) if k % 7 in (0, 1, 3) else None
-        updated(estimator, k, seen)
-        if k == 0:
-            prior = np.linalg.inv(estimator.covariance)
-            information[:4, :4] += prior
-            right[:4] += prior @ [*seen, 0.0, 0.0]
-        elif seen is not None:
-            A = H @ to_state
-            information += A.T @ A / VARIANCE
-            right += A.T @ seen / VARIANCE
-        covariance = to_state @ np.linalg.inv(information) @ to_state.T
-        state = to_state @ np.linalg.solve(information, right)
-        np.testing.assert_allclose(estimator.state, state, rtol=0, atol=1e-8)
-        np.testing.assert_allclose(estimator.covariance, covariance, rtol=1e-6, atol=1e-8)
 
 
 def test_process_noise_is_filterpys_discrete_white_noise():

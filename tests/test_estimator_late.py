@@ -151,14 +151,6 @@ def test_duplicates_are_ignored_and_counted_whenever_they_come():
     assert often.duplicates == 4
 
 
-def test_second_late_detection_of_one_time_is_rejected():
-    estimator, alone = followed(), followed()
-    estimate = call(estimator, 200, detection(150, (20.8, 20.1)))
-    assert (estimate.rejected, estimator.duplicates) == (1, 0)
-    assert estimate.position == call(alone, 200).position
-    assert bits(estimator) == bits(alone)
-
-
 def test_what_is_older_than_the_span_is_dropped_and_counted():
     def fly(*late):
         arguments = {"detector": Detector(noise=SIGMA, period=DT), "settings": Estimator()}
@@ -174,13 +166,17 @@ def test_what_is_older_than_the_span_is_dropped_and_counted():
     assert other.rejected == nothing.rejected == same.rejected == 0
 
 
-def test_detections_of_skipped_ticks_are_rejected():
-    estimator = followed()
+def test_detections_of_occupied_or_skipped_ticks_are_rejected():
+    estimator, alone = followed(), followed()
+    estimate = call(estimator, 200, detection(150, (20.8, 20.1)))
+    assert (estimate.rejected, estimator.duplicates) == (1, 0)
+    assert estimate.position == call(alone, 200).position
+    assert bits(estimator) == bits(alone)
     call(estimator, 210)
     between = Detection(time=198.5 * DT, relative_position=(0.0, 0.0))
     before = Detection(time=209 * DT, relative_position=(0.0, 0.0))
     ahead = Detection(time=211 * DT, relative_position=(0.0, 0.0))
-    assert call(estimator, 210, between, before, ahead).rejected == 3
+    assert call(estimator, 210, between, before, ahead).rejected == 1 + 3
     started_late = make()
     call(started_late, 50)
     assert call(started_late, 51, detection(20, (20.0, 20.0))) is None

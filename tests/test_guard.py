@@ -91,7 +91,7 @@ def test_detections_of_missed_or_invalid_times_are_not_used() -> None:
     invalid = (3 * DT, 4 * DT, 5.4 * DT, 8 * DT, 1e12)
     watch.see(observed(7, *((time, 0.0, 1.0) for time in invalid)))
     assert kept_detections(watch.memory) == []
-    watch.see(observed(8, (sum([DT] * 6), 0.0, 1.0)))  # a sum of ticks, 0.3 s but for rounding
+    watch.see(observed(8, (sum([DT] * 6), 0.0, 1.0)))  # 0.3 s, 5.999999999999999 ticks
     assert kept_detections(watch.memory) == [(20.06, 19.0, 6)]
 
 
@@ -129,42 +129,23 @@ class Vehicle:
         bare: True if its receiver supports accelerations only.
     """
 
-    def __init__(
-        self,
-        delay: float = 0.0,
-        interval: float | None = None,
-        *,
-        bare: bool = False,
-        **fields: Any,
-    ) -> None:
-        scenario = escort(
-            "certified",
-            certificate=Certificate(
-                max_command_delay=delay, max_command_interval=interval, max_measurement_error=0.0
-            ),
-            **fields,
+    def __init__(self, delay=0.0, interval=None, *, bare=False, **fields: Any) -> None:
+        declared = Certificate(
+            max_command_delay=delay, max_command_interval=interval, max_measurement_error=0.0
         )
-        self.world, self.filter, self._bare = (
-            World(scenario, 1),
-            SafetyFilter(briefing_of(scenario)),
-            bare,
-        )
-
-    @property
-    def motion(self) -> tuple[float, float, float, float]:
-        """Return position [m] and velocity [m/s]."""
-        row = self.world.vehicles[0]
-        return (*row["position"].tolist(), *row["velocity"].tolist())
+        scenario = escort("certified", certificate=declared, **fields)
+        self.world, self._bare = World(scenario, 1), bare
+        self.filter = SafetyFilter(briefing_of(scenario))
 
     def fly(self, wanted: tuple[float, float], *, lose: bool = False) -> NotCertified | None:
         """Fly one tick and return why it is not certified; its command may be lost."""
         world, tick = self.world, self.world.tick
-        p_x, p_y, v_x, v_y = self.motion
-        g_x, g_y = world.position[1].tolist()
-        flown = None if self._bare else world.flown(0)
-        detection = (tick * DT, (p_x - g_x, p_y - g_y))
         seen = uav_sees(
-            tick, detection, position=(p_x, p_y), velocity=(v_x, v_y), committed_trajectory=flown
+            tick,
+            (tick * DT, tuple((world.position[0] - world.position[1]).tolist())),
+            position=tuple(world.position[0].tolist()),
+            velocity=tuple(world.velocity[0].tolist()),
+            committed_trajectory=None if self._bare else world.flown(0),
         )
         self.filter.see(seen)
         decision = self.filter.filter(seen, wanted)
@@ -232,4 +213,4 @@ def test_predicted_trajectory_stops_at_the_walls() -> None:
     """The vehicle stops at a wall, where a filter without walls would find it off its prediction."""
     uav = Vehicle(0.5, area=Area(width=21.0, height=21.0, cell=0.5))
     assert {uav.fly((U_A, 0.1)) for _ in range(300)} == {None}
-    assert uav.motion[0] == 21.0
+    assert uav.world.position[0, 0] == 21.0

@@ -5,8 +5,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from agents.safety.safety_filter import SafetyFilter
 from bus.messages.decision import NotCertified
@@ -107,21 +105,6 @@ def test_commands_with_and_without_trajectories_take_effect() -> None:
     world.send(0, 2, (0.0, 0.0), (BackupTrajectory(2, -1, (0.3, 0.0)),))
     world.advance()
     assert (world.flown(0), world.commands[0].tolist()) == (2, [0.3, 0.0])
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.lists(st.tuples(st.integers(-2, 12), st.integers(-1, 12)), max_size=6))
-def test_receiver_flies_a_received_trajectory_or_rests(sent) -> None:
-    trajectories = [BackupTrajectory(max(0, begins), parent, (0.1, 0.0)) for begins, parent in sent]
-    world = still()
-    flown_ticks = flown(
-        world,
-        {tick: (trajectory,) for tick, trajectory in enumerate(trajectories)},
-        len(trajectories),
-    )
-    names = {trajectory.begins for trajectory in trajectories}
-    assert all(one is None or one in names for one in flown_ticks)
-    assert np.linalg.norm(world.velocity[0]) <= 0.6
 
 
 def test_trajectory_survives_encoding() -> None:
