@@ -13,10 +13,8 @@ from agents.estimation.motion_model import (
     SPAN,
     KalmanParameters,
     acceleration_deviation,
-    assumed_acceleration,
     history_depth,
     kalman_parameters,
-    strayed_distance,
     truncated_variance,
 )
 from bus.messages.scenario import Detector, Estimator, Limits
@@ -45,16 +43,6 @@ VARIANCE = truncated_variance(sigma=SIGMA, truncation=3.0)  # variance of a dete
 
 # maps the acceleration of a tick to the state
 PUSH = np.array([[DT * DT / 2, 0], [0, DT * DT / 2], [DT, 0], [0, DT]])
-
-
-def straying(*, elapsed: float, target: Limits, manoeuvre: float, dt: float) -> float:
-    """Return the largest deviation of a UGV with these limits from its motion after `elapsed` [s], [m]; see
-    `strayed_distance`.
-    """
-    acceleration = assumed_acceleration(target=target, acceleration_share=manoeuvre, dt=dt)
-    return strayed_distance(
-        elapsed=float(elapsed), speed=float(target.max_speed), acceleration=float(acceleration)
-    )
 
 
 def make(noise=SIGMA, cut=3.0, target=UGV, dt=DT, **chosen):

@@ -9,10 +9,15 @@ import pytest
 
 from agents.estimation.batch_filter import estimate, estimator_rows, update
 from agents.estimation.estimator import RelativeEstimator
-from agents.estimation.motion_model import KalmanParameters, kalman_parameters, truncated_variance
+from agents.estimation.motion_model import (
+    KalmanParameters,
+    kalman_parameters,
+    strayed_distance,
+    truncated_variance,
+)
 from bus.messages.scenario import Detector, Estimator, Limits
 from bus.ticks import Look
-from filters import FREE, UGV, straying
+from filters import FREE, UGV
 from sim.compiling.compile import released
 from sim.compiling.records import records
 from sim.models.vehicles import Motion
@@ -154,7 +159,7 @@ def test_a_ugv_not_seen_for_long_may_have_turned_round():
     rows = estimator_rows(1)[None, None].copy()
     for k in range(4801):
         _step(parameters, rows, k, 0.0, 0.0, np.array([[0.0, 1.0, 1.0]]), int(k == 0))
-    strayed = straying(elapsed=240.0, target=UGV, manoeuvre=0.7, dt=0.05)
+    strayed = strayed_distance(240.0, 0.2, 0.7 * 0.1)
     assert math.sqrt(rows["p_pp"][0, 0, 0]) == pytest.approx(strayed / math.sqrt(8.0))
 
 

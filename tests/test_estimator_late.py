@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.estimation.estimator import RelativeEstimator
-from agents.estimation.motion_model import history_depth
+from agents.estimation.motion_model import history_depth, strayed_distance
 from bus.messages.scenario import Detector, Estimator, Limits
 from bus.messages.vehicle import Detection
 from bus.ticks import looks_of
@@ -28,7 +28,6 @@ from filters import (
     filtered,
     make,
     squared,
-    straying,
     updated,
 )
 from properties import PROPERTY
@@ -304,19 +303,17 @@ def test_straying_is_what_a_ugv_does_that_turns_round_at_once():
     x, v, u = 0.0, 0.2, 0.7 * 0.1
     for k in range(4000):
         t = k * DT
-        assert 0.2 * t - x == pytest.approx(
-            straying(elapsed=t, target=UGV, manoeuvre=0.7, dt=DT), abs=2e-3
-        )
+        assert 0.2 * t - x == pytest.approx(strayed_distance(t, 0.2, u), abs=2e-3)
         v_after = max(v - u * DT, -0.2)
         x, v = x + 0.5 * (v + v_after) * DT, v_after
-    assert straying(elapsed=0.0, target=AGILE, manoeuvre=0.7, dt=DT) == 0.0
-    assert straying(elapsed=1e6, target=AGILE, manoeuvre=0.7, dt=DT) == pytest.approx(4e5)
+    assert strayed_distance(0.0, 0.2, 2.8) == 0.0
+    assert strayed_distance(1e6, 0.2, 2.8) == pytest.approx(4e5)
 
 
 @pytest.mark.parametrize("gap", [2.0, 5.0, 10.0, 30.0, 60.0, 200.0, 1000.0])
 def test_ugv_reversing_in_a_gap_is_accepted_again(gap):
     estimator, ticks = converged(speed=0.2), round(gap / DT)
-    x = 20.0 + 0.2 * 399 * DT + 0.2 * gap - straying(elapsed=gap, target=UGV, manoeuvre=1.0, dt=DT)
+    x = 20.0 + 0.2 * 399 * DT + 0.2 * gap - strayed_distance(gap, 0.2, 0.1)
     updated(estimator, 399 + ticks - 1)
     P = estimator.covariance[:2, :2]
     back = updated(estimator, 399 + ticks, (x, 20.0))
