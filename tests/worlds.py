@@ -15,10 +15,8 @@ from sim.env.rewards import RewardWeights
 from sim.scenario.types import Area, Certificate, Detections, LinkTable, Scenario, Uav, Ugv, Wind
 from tabular import words
 
-WIFI_POOR = PROFILES["wifi-poor"]
-
 LATE = msgspec.structs.replace(
-    WIFI_POOR, delay=0.4, jitter=0.3, duplicates=0.2, reorder=0.2, reorder_delay=0.3
+    PROFILES["wifi-poor"], delay=0.4, jitter=0.3, duplicates=0.2, reorder=0.2, reorder_delay=0.3
 )
 
 LOSSY = msgspec.structs.replace(
@@ -36,14 +34,11 @@ SMALL = Area(width=16.0, height=12.0, cell=0.5)
 
 NOISY = Detections(noise=0.2, dropout=0.2)
 
-HERE = (8.0, 6.0)
-
-GOALS = ((12.0, 6.0), (12.0, 9.0), (4.0, 3.0))
-
 
 def small(law: str, driver: str = "waypoints", **fields: Any) -> Scenario:
     script = (ScriptStep(time=1.0, velocity=(0.2, 0.0)), ScriptStep(time=4.0, velocity=(-0.1, 0.3)))
-    ugv = Ugv(position=HERE, driver=driver, goals=GOALS, goal_tolerance=0.3, script=script)
+    goals = ((12.0, 6.0), (12.0, 9.0), (4.0, 3.0))
+    ugv = Ugv(position=(8.0, 6.0), driver=driver, goals=goals, goal_tolerance=0.3, script=script)
     given = {"area": SMALL, "detections": NOISY, "duration": 20.0} | fields
     return escort(law, **{"uav": Uav(position=(8.0, 7.0)), "ugv": ugv} | given)
 
@@ -85,6 +80,14 @@ FREE = Scenario(
 )
 """The same without limits of the UAV."""
 
+BLURRED = msgspec.structs.replace(ONE, detections=Detections(noise=30.0, truncation=math.inf))
+"""Detections with unbounded noise as large as the area."""
+FAST = msgspec.structs.replace(
+    FREE,
+    detections=BLURRED.detections,
+    ugv=(Ugv(position=(10.0, 10.0), max_speed=2000.0, max_acceleration=1e6),),
+)
+"""The UAV has no limits, and the UGV crosses the area in less than a tick."""
 SCENARIOS: dict[str, Scenario] = {
     **{
         law: small(law)
