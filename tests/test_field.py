@@ -131,44 +131,18 @@ def error_decrease(coverage, p_ax, p_ay, p_gx, p_gy, r_o, desired, sensor, cell)
     return float((lack * quality * density_).sum() * cell**2)
 
 
-def test_gradient_over_even_ground_points_to_the_ugv() -> None:
-    coverage = empty_coverage(40.0, 40.0, 0.25)
-    rest = (20.0, 20.0, R_O, DESIRED, SensorParameters(reference.HILL, 1.0, R), 0.25)
-    u_x, u_y, size = coverage_gradient(coverage, 23.0, 20.0, *rest)
-    assert u_x < -0.1 * size
-    assert abs(u_y) < 1e-12 * size
-
-
-@pytest.mark.parametrize("sensor", range(len(SENSORS)), ids=SENSORS.keys())
-def test_sensor_slope_is_the_derivative_of_its_quality(sensor: int) -> None:
-    rho2 = np.linspace(0.01, 2.0 * R**2, 4001)
-    d = 1e-4
-    parameters = SensorParameters(sensor, 1.3, R)
-    slope = [sensor_slope(parameters, s) for s in rho2]
-    after, before = (
-        np.array([sensor_quality(parameters, s + step) for s in rho2]) for step in (d, -d)
-    )
-    np.testing.assert_allclose(slope, (after - before) / (2 * d), atol=1e-6)
-
-
 @pytest.mark.parametrize("sensor", range(len(SENSORS)), ids=SENSORS.keys())
 def test_sensor_falls_from_its_peak_to_nothing_at_its_range(sensor: int) -> None:
-    parameters = SensorParameters(sensor, 1.3, R)
-    quality = np.array([sensor_quality(parameters, rho**2) for rho in np.linspace(0.0, R, 501)])
-    assert quality[0] == 1.3
-    assert quality[-1] == 0.0
-    assert (np.diff(quality) <= 0.0).all()
+    parameters, d = SensorParameters(sensor, 1.3, R), 1e-4
+    rho2 = np.linspace(0.01, 2.0 * R**2, 4001)
+    slope = [sensor_slope(parameters, s) for s in rho2]
+    after, before = ([sensor_quality(parameters, s + step) for s in rho2] for step in (d, -d))
+    np.testing.assert_allclose(slope, np.subtract(after, before) / (2 * d), atol=1e-6)
+    assert max(slope) <= 0.0
+    assert sensor_quality(parameters, 0.0) == 1.3
     for rho in (R, math.nextafter(R, 9.0), 2.0 * R, 1e6):
         assert sensor_quality(parameters, rho**2) == 0.0
         assert sensor_slope(parameters, rho**2) == 0.0
-
-
-@given(st.floats(0.0, 9.0), st.floats(0.1, 10.0), st.floats(0.1, 8.0))
-@settings(PROPERTY)
-def test_hill_is_the_printed_sensor(rho: float, peak: float, reach: float) -> None:
-    wanted = peak / reach**4 * (rho**2 - reach**2) ** 2 if rho <= reach else 0.0
-    found = sensor_quality(SensorParameters(reference.HILL, peak, reach), rho**2)
-    assert found == pytest.approx(wanted, rel=1e-12, abs=1e-14 * peak)
 
 
 def test_sensors_differ() -> None:
@@ -195,17 +169,13 @@ def test_coverage_after_flying_past_is_the_integral_over_time(offset: float) -> 
     assert coverage[0, 0] == pytest.approx(16.0 / 15.0 * half**5 / (R**4 * v), rel=1e-5, abs=1e-12)
 
 
-def test_density_is_the_printed_cosine_and_never_negative() -> None:
+def test_density_is_the_printed_cosine_up_to_its_radius() -> None:
     rho = np.linspace(0.0, R_O, 20001)
     phi = np.array([density(d * d, R_O) for d in rho])
     assert np.abs(phi - (np.cos(np.pi * rho / R_O) + 1.0)).max() < 1e-12
     assert (phi >= 0.0).all()
-    assert phi[0] == pytest.approx(2.0, abs=1e-12)
-
-
-@pytest.mark.parametrize("rho", [R_O, math.nextafter(R_O, 99.0), 10.0, 1e3, 1e9])
-def test_density_is_nothing_from_its_radius_on(rho: float) -> None:
-    assert density(rho * rho, R_O) == 0.0
+    for beyond in (R_O, math.nextafter(R_O, 99.0), 10.0, 1e9):
+        assert density(beyond * beyond, R_O) == 0.0
 
 
 @given(st.floats(-10.0, 10.0))
@@ -217,22 +187,14 @@ def test_penalty_counts_lack_alone_and_matches_its_derivative(lack: float) -> No
     assert penalty_slope(lack) == pytest.approx(slope, abs=1e-5)
 
 
-def test_error_of_bare_ground_is_the_analytic_value() -> None:
-    coverage = empty_coverage(40.0, 40.0, 0.25)
-    wanted = 8.0 * math.pi * R_O**2 * (0.5 - 2.0 / math.pi**2)
-    assert wanted == pytest.approx(710.44, abs=0.01)
-    for place in ((20.0, 20.0), (17.3, 22.1)):
-        found = coverage_error(coverage, *place, R_O, DESIRED, 0.25)
-        assert found == pytest.approx(wanted, abs=1e-3)
-
-
-def test_error_converges_with_the_grid() -> None:
+def test_error_of_bare_ground_converges_to_the_analytic_value() -> None:
     wanted = 8.0 * math.pi * R_O**2 * (0.5 - 2.0 / math.pi**2)
     off = [
         abs(coverage_error(empty_coverage(40.0, 40.0, h), 19.9, 20.3, R_O, DESIRED, h) - wanted)
-        for h in (2.0, 0.5, 0.125)
+        for h in (2.0, 0.5, 0.25, 0.125)
     ]
-    assert off[0] > 4.0 * off[1] > 16.0 * off[2]
+    assert off[0] > 4.0 * off[1] > 16.0 * off[3]
+    assert off[2] < 1e-3
 
 
 def test_error_is_nothing_where_all_is_covered_and_only_there() -> None:
@@ -278,9 +240,3 @@ def test_gain_of_a_sensing_step_is_the_decrease_of_the_error(sensor, place):
     rate = error_decrease(ground, p_x, p_y, *demand, parameters, 0.25)
     # the penalty's second derivative over one tick
     assert 0.95 * rate * dt <= gain < rate * dt
-
-
-def test_covered_ground_gives_no_gain() -> None:
-    ground = np.full((40, 40), DESIRED)
-    rest = (Demand(5.0, 5.0, R_O, DESIRED), SensorParameters(0, 1.0, R), 0.25, 0.05)
-    assert accumulate_with_gain(ground, 5.0, 5.0, *rest) == 0.0

@@ -79,38 +79,27 @@ def test_a_word_becomes_a_number_below_one_with_53_bits(word: int) -> None:
 def test_truncated_noise_norm_is_truncated_rayleigh(cut: float) -> None:
     noise = np.array([cut_normal_vector(0.3, cut, a_key(4), 1, k, 0) for k in range(4000)])
     radius, angle = np.hypot(*noise.T) / 0.3, np.arctan2(noise[:, 1], noise[:, 0])
-    assert (
-        stats.kstest(radius, lambda r: -np.expm1(-0.5 * r**2) / -np.expm1(-0.5 * cut**2)).pvalue
-        > 1e-3
-    )
+    rayleigh = stats.kstest(radius, lambda r: np.expm1(-0.5 * r**2) / np.expm1(-0.5 * cut**2))
+    assert rayleigh.pvalue > 1e-3
     assert stats.kstest(angle / math.tau + 0.5, "uniform").pvalue > 1e-3
     assert abs(stats.spearmanr(radius, angle).statistic) < 4.0 / math.sqrt(4000)
-
-
-def test_noise_without_a_cut_is_gaussian_on_each_axis() -> None:
-    noise = np.array([cut_normal_vector(0.3, math.inf, a_key(4), 1, k, 0) for k in range(4000)])
-    for axis in range(2):
-        assert stats.kstest(noise[:, axis] / 0.3, "norm").pvalue > 1e-3
-    assert abs(np.corrcoef(noise.T)[0, 1]) < 4.0 / math.sqrt(4000)
 
 
 @given(st.floats(1e-6, 1e3), st.floats(1e-3, 9.0), seeds, small)
 @settings(PROPERTY, max_examples=500)
 def test_cut_noise_never_goes_beyond_its_cut(sigma, cut, seed, tick):
-    assert math.hypot(*cut_normal_vector(sigma, cut, a_key(seed), 1, tick, 0)) <= cut * sigma * (
-        1.0 + 1e-15
-    )
+    noise = cut_normal_vector(sigma, cut, a_key(seed), 1, tick, 0)
+    assert math.hypot(*noise) <= cut * sigma * (1.0 + 1e-15)
 
 
 def test_key_is_blake2b_of_seed_purpose_vehicle_and_secret() -> None:
     keys = derive_keys((5, 2**53 - 1), 3, SECRET)
     assert keys.shape == (2, RUN_PURPOSES, 3, 2)
-    message = (
-        (2**53 - 1).to_bytes(8, "little") + (4).to_bytes(4, "little") + (2).to_bytes(4, "little")
+    message = b"".join(
+        number.to_bytes(size, "little") for number, size in ((2**53 - 1, 8), (4, 4), (2, 4))
     )
-    digest = blake2b(
-        message, digest_size=16, key=bytes.fromhex(SECRET), person=b"outrider"
-    ).hexdigest()
+    secret = {"key": bytes.fromhex(SECRET), "person": b"outrider"}
+    digest = blake2b(message, digest_size=16, **secret).hexdigest()
     assert derive_key(2**53 - 1, 4, 2, SECRET) == digest
     assert key_of(keys[1, :, 2], 4) == words_of(digest) == tuple(keys[1, 4, 2])
 
@@ -130,9 +119,7 @@ def test_what_is_no_key_is_refused(bad: str) -> None:
 def test_a_new_secret_has_128_bits_and_is_another_one_each_time() -> None:
     made = {new_secret() for _ in range(100)}
     assert len(made) == 100
-    assert all(
-        check_secret(secret) == secret and len(bytes.fromhex(secret)) == 16 for secret in made
-    )
+    assert all(check_secret(secret) == secret and len(secret) == 32 for secret in made)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
 
 from properties import PROPERTY
 from sim.models.vehicles import (
@@ -45,20 +44,6 @@ def test_constant_acceleration_matches_the_closed_form(
         v_y + u_y * t,
     )
     assert state == pytest.approx(wanted, rel=1e-12, abs=1e-10 * max(1.0, t * t))
-
-
-def test_held_commands_match_an_ode_solver() -> None:
-    rng = np.random.default_rng(3)
-    dt, commands = 0.2, rng.uniform(-0.2, 0.2, (40, 2))
-
-    def motion(t: float, state: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return np.concatenate((state[2:], u))
-
-    state, solved = (1.0, 2.0, 0.3, -0.1), np.array((1.0, 2.0, 0.3, -0.1))
-    for u in commands:
-        *state, _, _ = step_vehicle(*state, *u.tolist(), 5.0, 0.3, dt)
-        solved = solve_ivp(motion, (0.0, dt), solved, args=(u,), rtol=1e-12, atol=1e-12).y[:, -1]
-    np.testing.assert_allclose(state, solved, rtol=1e-10, atol=1e-10)
 
 
 @given(st.floats(0.05, 2.0), st.floats(0.05, 2.0), ticks)
@@ -127,24 +112,14 @@ def test_braking_stops_on_a_straight_line_without_turning_back(v_x, v_y, u_max, 
         assert abs(state[0] * v_y - state[1] * v_x) <= 1e-9 * max(1.0, travelled) * speeds[0]
 
 
-@given(st.floats(0.0, 100.0), st.floats(0.01, 10.0) | st.just(math.inf), ticks)
+@given(st.floats(-1.0, 100.0), st.floats(0.01, 10.0) | st.just(math.inf), ticks)
 @settings(PROPERTY)
 def test_stopping_speed_leaves_room_for_one_more_tick(distance, u_max, dt):
     speed = speed_to_stop_within(distance, u_max, dt)
     assert speed >= 0.0
-    assert speed * dt + stopping_distance(speed, u_max) == pytest.approx(
-        distance, rel=1e-9, abs=1e-9
-    )
-
-
-@pytest.mark.parametrize("u_max", [0.3, math.inf])
-def test_there_is_no_speed_to_stop_within_less_than_nothing(u_max: float) -> None:
-    assert speed_to_stop_within(-1.0, u_max, 0.05) == 0.0
-
-
-def test_the_way_to_a_stop_is_the_square_of_the_speed() -> None:
-    assert stopping_distance(0.8, 0.3) == pytest.approx(0.64 / 0.6, rel=1e-15)
-    assert stopping_distance(0.8, math.inf) == 0.0
+    assert stopping_distance(speed, u_max) == pytest.approx(0.5 * speed**2 / u_max, rel=1e-12)
+    needed = speed * dt + stopping_distance(speed, u_max)
+    assert needed == pytest.approx(max(distance, 0.0), rel=1e-9, abs=1e-9)
 
 
 def test_a_goal_is_reached_nearer_than_the_tolerance() -> None:
