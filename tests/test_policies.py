@@ -27,6 +27,7 @@ from sim.models.vehicles import norm
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
+from worlds import equal
 
 
 @pytest.fixture
@@ -37,15 +38,16 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def _scenario() -> Scenario:
-    """Return a UGV that is fast enough to pass its goals."""
-    changes = {
+FAST = load_scenario(
+    "escort",
+    overrides={
         "duration": 60.0,
         "ugv.0.max_speed": 0.5,
         "ugv.0.max_acceleration": 0.2,
         "ugv.0.goals": [[10.4, 8.0], [9.0, 9.0]],
-    }
-    return load_scenario("escort", overrides=changes)
+    },
+)
+"""A UGV that is fast enough to pass its goals."""
 
 
 def _seen(
@@ -97,13 +99,10 @@ def test_a_functions_answer_within_the_bounds_is_taken_as_it_is(answer: object) 
 
 
 @pytest.mark.parametrize(
-    "answer",
-    [(1, 1), (1e308, 1e308), (7e5, 7e5), np.array([3, 3]), np.array([5.0, 5.0], dtype=np.float32)],
+    "answer", [(1, 1), (1e308, 1e308), np.array([3, 3]), np.array([5.0, 5.0], dtype=np.float32)]
 )
 def test_a_functions_answer_beyond_the_bound_is_shortened(answer: object) -> None:
-    assert _acceleration_for(answer) == pytest.approx(
-        (U_G / math.sqrt(2.0), U_G / math.sqrt(2.0)), rel=1e-12
-    )
+    assert _acceleration_for(answer) == pytest.approx([U_G / math.sqrt(2.0)] * 2, rel=1e-12)
 
 
 def test_a_function_cannot_drive_beyond_the_largest_speed() -> None:
@@ -116,14 +115,9 @@ def test_a_function_cannot_drive_beyond_the_largest_speed() -> None:
 
 def test_a_function_is_given_the_observation_and_the_briefing() -> None:
     briefing, given = ugv_briefing(), []
-
-    def policy(*seen: object) -> tuple[int, int]:
-        given.append(seen)
-        return 0, 0
-
-    seen = _seen(4)
-    PolicyDriver(briefing, policy=policy, name="m:f").drive(seen)
-    assert given == [(seen, briefing)]
+    driver = PolicyDriver(briefing, policy=lambda *seen: given.append(seen) or (0, 0), name="m:f")
+    driver.drive(_seen(4))
+    assert given == [(_seen(4), briefing)]
 
 
 @pytest.mark.parametrize(
@@ -172,9 +166,7 @@ def test_a_policy_that_raises_is_named_in_one_line(kind: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "scenario",
-    [_scenario(), load_scenario("escort", overrides={"duration": 20.0})],
-    ids=["fast", "escort"],
+    "scenario", [FAST, load_scenario("escort", overrides={"duration": 20.0})], ids=["fast", "slow"]
 )
 def test_pilot_and_environment_have_the_same_observation_bits(scenario: Scenario) -> None:
     env = outrider.parallel_env(scenario, end_on_sight_lost=False)
@@ -183,23 +175,19 @@ def test_pilot_and_environment_have_the_same_observation_bits(scenario: Scenario
     theirs = []
     while env.agents:
         theirs.append(observations["ugv_0"])
-        observations, *_ = env.step(
-            {name: policies[name](observations[name]) for name in env.agents}
-        )
+        actions = {name: policies[name](observations[name]) for name in env.agents}
+        observations, *_ = env.step(actions)
     flying, rows, ours = make_pilots(scenario, 4), UgvRows(env.briefing("ugv_0")), []
 
     def act(seen: UgvObservation) -> Command:
         ours.append(rows.row(seen))
         return flying["ugv_0"].act(seen)
 
-    flight = Flight(scenario, 4)
-    flight.fly(Piloted(flying, "ugv_0", act))
-    assert [row.tobytes() for row in ours] == [row.tobytes() for row in theirs]
-    assert all(row.dtype == np.float64 for row in ours)
-    assert flight.recorder.ticks == len(theirs)
+    Flight(scenario, 4).fly(Piloted(flying, "ugv_0", act))
+    assert equal(tuple(ours), tuple(theirs))
     underway = [row[names(UGV).index("underway")] for row in ours]
     assert underway[0] == 1.0
-    assert underway[-1] == (0.0 if scenario.ugv[0].max_speed == 0.5 else 1.0)
+    assert underway[-1] == (0.0 if scenario is FAST else 1.0)
 
 
 def test_ugvs_that_share_a_policy_reach_goals_of_their_own() -> None:
@@ -209,11 +197,6 @@ def test_ugvs_that_share_a_policy_reach_goals_of_their_own() -> None:
     other.drive(_seen(0))
     goals = [tuple(row[6:8]) for row in model.rows]
     assert goals == [(18.0, 1.0), (3.0, 4.0)]
-
-
-def test_a_ugv_without_goals_has_a_row_too() -> None:
-    row = UgvRows(ugv_briefing(goals=())).row(_seen(4)).tolist()
-    assert row == [0.2, 10.0, 10.0, 0.1, -0.1, 0.0, 0.0, 0.0]
 
 
 def test_slow_policy_is_reported_once_after_its_first_answer(
@@ -231,20 +214,6 @@ def test_slow_policy_is_reported_once_after_its_first_answer(
     )
 
 
-def test_predicting_object_is_accepted_and_a_class_refused(here: Path) -> None:
-    (here / "mine_models.py").write_text(
-        "class Model:\n    def predict(self, row):\n        return row[3:5]\nmodel = Model()\nnumber = 3\n"
-    )
-    model = load_function("mine_models:model", what="policy")
-    assert PolicyDriver(ugv_briefing(), policy=model, name="x").drive(_seen()) == (0.1, -0.1)
-    for name in ("mine_models:Model", "mine_models:number"):
-        with pytest.raises(
-            ScenarioError,
-            match=f"^policy = '{name}': not a policy; allowed: a function, or an object with a method predict",
-        ):
-            load_function(name, what="policy")
-
-
 def refusal(name: str) -> str:
     with refused(ScenarioError, r"^custom\.policy = ") as caught:
         load_function(name, what="custom.policy")
@@ -254,31 +223,36 @@ def refusal(name: str) -> str:
     return line
 
 
-def test_failing_import_is_named_in_one_line(here: Path) -> None:
-    (here / "mine_broken.py").write_text("raise ValueError('no\\nweights')\n")
-    assert "cannot be imported: ValueError: no weights" in refusal("mine_broken:policy")
-    with pytest.raises(ScenarioError, match=r"^weighting = 'mine_broken:f': cannot be imported"):
-        load_function("mine_broken:f", what="weighting")
+def test_predicting_object_is_accepted_and_a_class_refused(here: Path) -> None:
+    (here / "mine_models.py").write_text(
+        "class Model:\n    def predict(self, row):\n        return row[3:5]\nmodel = Model()\nnumber = 3\n"
+    )
+    model = load_function("mine_models:model", what="policy")
+    assert PolicyDriver(ugv_briefing(), policy=model, name="x").drive(_seen()) == (0.1, -0.1)
+    for name in ("mine_models:Model", "mine_models:number"):
+        assert "not a policy; allowed: a function, or an object with a method predict" in refusal(
+            name
+        )
 
 
 @pytest.mark.parametrize(
     ("name", "phrase"),
     [
         ("queue:wheel", r"queue\.py in this folder is hidden by .*queue"),
-        ("queue.py:wheel", r"queue\.py in this folder is hidden by .*queue"),
         ("sys:wheel", "sys.* has no 'wheel'"),
         ("json:dmups", r"json/__init__\.py has no 'dmups', did you mean 'dumps'\?"),
         ("my_drivers:whel", r"my_drivers\.py has no 'whel', did you mean 'wheel'\?"),
-        ("my_driver:wheel", "no module 'my_driver' .*, did you mean 'my_drivers'\\?"),
         ("my_driver.py:wheel", "no module 'my_driver' .*, did you mean 'my_drivers'\\?"),
         ("needy:wheel", "No module named 'nowhere_at_all'"),
+        ("broken:wheel", "cannot be imported: ValueError: no weights"),
     ],
 )
-def test_missing_object_is_reported_with_its_file(name, phrase, here, monkeypatch):
+def test_an_object_that_cannot_be_loaded_is_reported(name, phrase, here, monkeypatch):
     monkeypatch.setattr(sys, "path", sys.path.copy())
     for file in ("queue", "my_drivers"):
         (here / f"{file}.py").write_text("def wheel(observation, briefing):\n    return 0.1, 0.0\n")
     (here / "needy.py").write_text("import nowhere_at_all\n")
+    (here / "broken.py").write_text("raise ValueError('no\\nweights')\n")
     assert re.search(phrase, refusal(name))
 
 
@@ -294,22 +268,16 @@ def test_module_search_order_is_library_folder_clone(
 ) -> None:
     """A function tried in the clone, as in the README, is not loaded from elsewhere."""
     clone, library, here = (tmp_path / name for name in ("clone", "library", "here"))
-    for folder, modules in (
-        (clone, ("tried", "kept")),
-        (library, ("known",)),
-        (here, ("tried", "known")),
-    ):
+    for folder, modules in ((clone, "tried kept"), (library, "known"), (here, "tried known")):
         folder.mkdir()
-        for name in modules:
-            text = f"def policy(observation, briefing):\n    return {folder.name!r}\n"
+        text = f"def policy(observation, briefing):\n    return {folder.name!r}\n"
+        for name in modules.split():
             (folder / f"{name}_{tmp_path.name}.py").write_text(text, encoding="utf-8")
     (clone / "pyproject.toml").touch()
     linked = tmp_path / "linked"
     linked.symlink_to(clone)
-    path = [str(linked), *sys.path, str(clone), str(library)]
-    monkeypatch.setattr(sys, "path", path)
+    monkeypatch.setattr(sys, "path", [str(linked), *sys.path, str(clone), str(library)])
     monkeypatch.setattr(user_modules, "_HOME", clone.resolve())
     monkeypatch.chdir(here)
     for module, folder in (("tried", here), ("known", library), ("kept", clone)):
-        policy = load_policy(f"{module}_{tmp_path.name}:policy")
-        assert policy(None, None) == folder.name
+        assert load_policy(f"{module}_{tmp_path.name}:policy")(None, None) == folder.name
