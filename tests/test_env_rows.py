@@ -123,16 +123,12 @@ def test_gradient_points_from_the_estimate_to_new_ground():
 def test_uav_perceives_nothing_of_the_ugv_but_its_detections():
     """Change velocity, goals and actions of an undetected UGV: no bit of the UAV's row changes."""
     options = {"end_on_sight_lost": False, "coverage_patch": (9, 1.0)}
-    still = parallel_env(scenario(dropout=1.0), **options)
-    fast = parallel_env(
-        scenario(dropout=1.0, ugv=(11.0, 9.0), velocity=(0.2, 0.0), goals=((20.0, 20.0),)),
-        **options,
+    moving = {"ugv": (11.0, 9.0), "velocity": (0.2, 0.0), "goals": ((20.0, 20.0),)}
+    still, fast = (
+        drive(parallel_env(scenario(dropout=1.0, **fields), **options), [0.1, 0.0], ugv, 100)
+        for fields, ugv in (({}, [0.0, 0.0]), (moving, [0.1, 0.05]))
     )
-    for (a, info), (b, other) in zip(
-        drive(still, [0.1, 0.0], [0.0, 0.0], 100),
-        drive(fast, [0.1, 0.0], [0.1, 0.05], 100),
-        strict=True,
-    ):
+    for (a, info), (b, other) in zip(still, fast, strict=True):
         assert a["uav_0"]["row"].tobytes() == b["uav_0"]["row"].tobytes()
         assert a["uav_0"]["coverage"].tobytes() == b["uav_0"]["coverage"].tobytes()
         assert info["uav_0"] == other["uav_0"] == {}
@@ -140,21 +136,18 @@ def test_uav_perceives_nothing_of_the_ugv_but_its_detections():
 
 def test_uav_sees_the_position_of_a_detected_ugv_alone():
     slow = parallel_env(scenario(noise=0.1)).reset(seed=1)[0]["uav_0"]
-    fast = parallel_env(scenario(noise=0.1, velocity=(0.1, 0.1), goals=((1.0, 1.0),))).reset(
-        seed=1
-    )[0]["uav_0"]
+    moving = scenario(noise=0.1, velocity=(0.1, 0.1), goals=((1.0, 1.0),))
+    fast = parallel_env(moving).reset(seed=1)[0]["uav_0"]
     assert by_name(UAV, slow)["detected"]
     assert slow.tobytes() == fast.tobytes()
 
 
 def test_ugv_perceives_nothing_of_the_uav():
-    env = parallel_env(scenario(), end_on_sight_lost=False)
-    away = parallel_env(scenario(uav=(8.0, 13.0)), end_on_sight_lost=False)
-    for (a, info), (b, other) in zip(
-        drive(env, [0.1, 0.3], [0.1, 0.0], 100),
-        drive(away, [-0.3, 0.0], [0.1, 0.0], 100),
-        strict=True,
-    ):
+    near, away = (
+        drive(parallel_env(scenario(uav=place), end_on_sight_lost=False), uav, [0.1, 0.0], 100)
+        for place, uav in (((12.0, 10.0), [0.1, 0.3]), ((8.0, 13.0), [-0.3, 0.0]))
+    )
+    for (a, info), (b, other) in zip(near, away, strict=True):
         assert a["ugv_0"].tobytes() == b["ugv_0"].tobytes()
         assert info["ugv_0"] == other["ugv_0"]
         assert info["ugv_0"].keys() == {"goals_reached"}
@@ -225,7 +218,6 @@ def test_state_is_the_whole_truth_under_its_names(dtype):
     env = parallel_env(scenario(noise=0.1, rate=4.0), dtype=dtype)
     drive(env, [0.1, 0.2], [0.1, 0.0], 33)
     world, state = env.world, env.state()
-    named = dict(zip(env.state_names, state.tolist(), strict=True))
     distance, error = world.measure()[0]
     truth = {
         "time": 1.65,
@@ -245,6 +237,5 @@ def test_state_is_the_whole_truth_under_its_names(dtype):
     assert list(truth) == env.state_names
     assert state.dtype == dtype
     assert distance > 1.0
-    found = [named[name] for name in truth]
     rtol = 1e-12 if dtype is np.float64 else 1e-6
-    np.testing.assert_allclose(found, list(truth.values()), rtol=rtol)
+    np.testing.assert_allclose(state, list(truth.values()), rtol=rtol)

@@ -10,14 +10,22 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
-from gymnasium.vector import VectorEnv
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.wrappers import (
+    FlattenObservation,
+    FrameStackObservation,
+    NormalizeObservation,
+    RescaleAction,
+    RescaleObservation,
+)
 
 from bus.errors import ScenarioError
 from outrider.envs.parallel import parallel_env
 from outrider.envs.single import single_env
 from outrider.envs.vector import parallel_vector_env, vector_env
 from refusals import refused
-from worlds import SCENARIO, equal, random_actions
+from sim.scenario.loading import load_scenario
+from worlds import FREE, SCENARIO, equal, random_actions
 
 MAKERS: dict[str, Callable[..., Any]] = {
     "parallel": parallel_env,
@@ -25,7 +33,7 @@ MAKERS: dict[str, Callable[..., Any]] = {
     "vector": partial(vector_env, num_envs=2, agent="uav_0"),
     "parallel vector": partial(parallel_vector_env, num_envs=2),
 }
-ALL, OF_ONE_AGENT = ("parallel", "single", "vector"), ("single", "vector")
+EVERY, ALL, OF_ONE_AGENT = tuple(MAKERS), ("parallel", "single", "vector"), ("single", "vector")
 OF_MANY = ("vector", "parallel vector")
 GOOD = np.array([0.1, 0.05])
 
@@ -152,6 +160,10 @@ REFUSALS: dict[type[Exception], list[tuple[Any, dict[str, Any], str]]] = {
         (OF_ONE_AGENT, {"others": {"ugv_0": 3}}, "neither a name nor a policy"),
         *((OF_ONE_AGENT, {"threads": n}, "threads") for n in (0, 1.5, math.nan)),
         (ALL, {"secret": "1234"}, "secret: 4 characters: not a secret"),
+        *(
+            (OF_MANY, {"autoreset_mode": mode}, "autoreset_mode = .*: 'SameStep', 'NextStep'")
+            for mode in ("Disabled", AutoresetMode.DISABLED, "sometimes", 3)
+        ),
         *((OF_MANY, {"num_envs": n}, "num_envs") for n in (0, -3, 1.5, "2")),
     ],
     TypeError: [
@@ -159,10 +171,10 @@ REFUSALS: dict[type[Exception], list[tuple[Any, dict[str, Any], str]]] = {
         (ALL, {"end_on_sight_lost": None}, "end_on_sight_lost = None; allowed: True, False"),
         (ALL, {"estimate": "no"}, "estimate = 'no'; allowed: True, False"),
         (ALL, {"others": "evade"}, "others = 'evade'; allowed: pilots by vehicle, or None"),
-        (MAKERS, {"durations": 2.0}, r"'durations': unknown setting; allowed: .*duration, "),
+        (EVERY, {"durations": 2.0}, r"'durations': unknown setting; allowed: .*duration, "),
     ],
     ScenarioError: [
-        *((MAKERS, {"duration": t}, "duration") for t in (0.0, -1.0, 0.12, math.nan, math.inf)),
+        *((EVERY, {"duration": t}, "duration") for t in (0.0, -1.0, 0.12, math.nan, math.inf)),
     ],
 }
 
@@ -184,10 +196,45 @@ def test_what_was_returned_is_never_changed_later(name: str) -> None:
     now = [env.reset(seed=1)]
     then = copy.deepcopy(now)
     for action in random_actions(1, 20)[:, 0]:
-        now.append(
-            env.step(dict.fromkeys(env.possible_agents, np.tile(action, (2, 1))))
-            if name == "parallel vector"
-            else step(env, action)
-        )
+        if name == "parallel vector":
+            returned = env.step(dict.fromkeys(env.possible_agents, np.tile(action, (2, 1))))
+        else:
+            returned = step(env, action)
+        now.append((returned, env.state() if name == "parallel" else None))
         then.append(copy.deepcopy(now[-1]))
     assert all(map(equal, now, then))
+
+
+@pytest.mark.parametrize(
+    ("scenario", "options"),
+    [
+        *(
+            (SCENARIO, options)
+            for options in ({}, {"agent": "ugv_0"}, {"coverage_patch": (6, 1.0)})
+        ),
+        (FREE, {"estimate": True, "gradient": True, "dtype": np.float32}),
+        (load_scenario("minefield"), {"agent": "ugv_0", "tile_patch": 5}),
+    ],
+    ids=["row", "ugv", "coverage", "estimate", "tiles"],
+)
+def test_gymnasiums_wrappers_can_be_put_around_each_other(scenario, options) -> None:
+    plain, env = (
+        FlattenObservation(single_env(scenario, duration=2.0, end_on_sight_lost=False, **options))
+        for _ in range(2)
+    )
+    box = plain.observation_space
+    one = box.dtype.type(1.0)
+    rescaled = RescaleObservation(RescaleAction(env, np.float64(-1.0), np.float64(1.0)), -one, one)
+    stacked = FrameStackObservation(rescaled, 2)
+    normalized = NormalizeObservation(stacked)
+    raw, seen = plain.reset(seed=1)[0], stacked.reset(seed=1)[0]
+    for _ in range(40):
+        wanted = 2.0 * (raw.astype(np.float64) - box.low) / (box.high - box.low) - 1.0
+        np.testing.assert_allclose(seen[-1], wanted, atol=1e-6)
+        assert plain.observation_space.contains(raw)
+        last = seen[-1]
+        raw, *_ = plain.step(0.2 * plain.action_space.high)
+        seen, *_ = stacked.step(np.full(2, 0.2))
+        assert equal(seen[0], last)
+    normalized.reset(seed=1)
+    assert np.isfinite(normalized.step(np.full(2, 0.2))[0]).all()

@@ -1,7 +1,7 @@
 """The field: sensor (2), accumulation (3), error (4), density (9) and the integral of (6), by NumPy and calculus."""
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -32,8 +32,7 @@ R, R_V, DESIRED = 5.0, 4.75, 2.0
 R_O = R_V + R
 
 
-@dataclass(frozen=True)
-class Place:
+class Place(NamedTuple):
     """A patch of ground, partly covered, with both vehicles on it or beside it."""
 
     coverage: FloatGrid

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -56,27 +57,13 @@ def _seen(
     return UgvObservation(tick=tick, time=tick * DT, position=(x, y), velocity=velocity)
 
 
-class Model:
-    """An object with a method `predict`, as written by a user."""
-
-    def __init__(self, answer: Callable[[Any], object]) -> None:
-        self.rows: list[Any] = []
-        self._answer = answer
-
-    def predict(self, row: Any) -> object:
-        self.rows.append(row)
-        return self._answer(row)
-
-
 def _function(answer: Callable[[], object]) -> Policy:
     return lambda observation, briefing: answer()
 
 
 def _model(answer: Callable[[], object]) -> Policy:
-    return Model(lambda row: answer())
-
-
-KINDS = pytest.mark.parametrize("kind", [_function, _model])
+    """Return an object with a method `predict`, as written by a user."""
+    return SimpleNamespace(predict=lambda row: answer())
 
 
 def _acceleration_for(
@@ -135,9 +122,14 @@ NONSENSE = [
 ]
 
 
-@KINDS
-@pytest.mark.parametrize("answer", NONSENSE, ids=range(len(NONSENSE)))
-def test_invalid_answer_is_named_in_one_line(answer: object, kind: Any) -> None:
+@pytest.mark.parametrize(
+    ("kind", "answer"),
+    [
+        *((kind, answer) for kind in (_function, _model) for answer in NONSENSE),
+        (_model, (2e6, 0.0)),
+    ],
+)
+def test_invalid_answer_is_named_in_one_line(kind: Any, answer: object) -> None:
     with refused(
         ScenarioError, r"^policy = 'mine:drive': tick 12: returned .+; allowed: two finite numbers"
     ) as caught:
@@ -147,12 +139,7 @@ def test_invalid_answer_is_named_in_one_line(answer: object, kind: Any) -> None:
         assert "(0.1, 0.2, 0.3)" in str(caught.value)
 
 
-def test_prediction_too_large_for_a_message_is_refused() -> None:
-    with refused(ScenarioError, r"returned \(2000000.0, 0.0\); allowed: two finite numbers"):
-        _acceleration_for((2e6, 0.0), _model)
-
-
-@KINDS
+@pytest.mark.parametrize("kind", [_function, _model])
 def test_a_policy_that_raises_is_named_in_one_line(kind: Any) -> None:
     def broken() -> object:
         raise RuntimeError("no\nsuch weights")
@@ -191,11 +178,11 @@ def test_pilot_and_environment_have_the_same_observation_bits(scenario: Scenario
 
 
 def test_ugvs_that_share_a_policy_reach_goals_of_their_own() -> None:
-    model = Model(lambda row: (0.0, 0.0))
+    goals = []
+    model = SimpleNamespace(predict=lambda row: goals.append(tuple(row[6:8])) or (0.0, 0.0))
     first, other = (PolicyDriver(ugv_briefing(), policy=model, name="x") for _ in range(2))
     first.drive(_seen(0, 3.0, 4.0))
     other.drive(_seen(0))
-    goals = [tuple(row[6:8]) for row in model.rows]
     assert goals == [(18.0, 1.0), (3.0, 4.0)]
 
 
@@ -204,7 +191,7 @@ def test_slow_policy_is_reported_once_after_its_first_answer(
 ) -> None:
     clock = iter([0.0, 9.0, 10.0, 10.04, 20.0, 20.3, 30.0, 30.3])
     monkeypatch.setattr(time, "perf_counter", lambda: next(clock))
-    driver = PolicyDriver(ugv_briefing(), policy=Model(lambda row: (0.0, 0.0)), name="mine:slow")
+    driver = PolicyDriver(ugv_briefing(), policy=_model(lambda: (0.0, 0.0)), name="mine:slow")
     with caplog.at_level(logging.WARNING, logger="outrider.policy"):
         for tick in range(4):
             driver.drive(_seen(tick))

@@ -20,7 +20,6 @@ from bus.messages.vehicle import UavObservation
 from bus.ticks import looks_of
 from outrider.envs.env_pilots import pilots
 from properties import PROPERTY
-from refusals import refused
 from sim.env.observation import one_of_world
 from sim.scenario.types import Scenario
 from tabular import words
@@ -248,12 +247,6 @@ def test_next_step_mode_restarts_in_the_next_step() -> None:
         assert sum(any(step[2:]) for step in theirs) >= 2
     assert any(step[2] for step in flights["late"][0])
     assert any(step[3] for step in flights["late"][2])
-
-
-def test_a_mode_of_another_name_is_refused() -> None:
-    for mode in ("Disabled", AutoresetMode.DISABLED, "sometimes", 3):
-        with refused(ValueError, "autoreset_mode = .*allowed: 'SameStep', 'NextStep'"):
-            outrider.vector_env(SCENARIO, num_envs=1, autoreset_mode=mode)
 
 
 def test_other_libraries_find_mode_and_random_numbers() -> None:

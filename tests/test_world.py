@@ -110,15 +110,7 @@ def test_map_distance_and_error_follow_the_true_track(sensor: str) -> None:
     assert error == pytest.approx(remaining, rel=1e-11)
 
 
-def test_initially_covered_ground_is_known_to_world_and_uav() -> None:
-    region = Region(lower=(0.0, 0.0), upper=(40.0, 40.0))
-    _, summary = fly(escort("coverage", coverage=Coverage(covered=(region,)), duration=5.0), 0)
-    assert summary.initial_error == 0.0
-    assert summary.max_distance == 0.0  # nothing to cover, nowhere to drive
-
-
-@pytest.fixture(scope="module")
-def two_pairs() -> Flight:
+def test_two_pairs_fly_each_uav_with_the_ugv_it_escorts() -> None:
     uavs = [
         {"position": (30.0, 30.0), "escorts": "ugv_1"},
         {"position": (10.0, 10.0), "escorts": "ugv_0"},
@@ -127,27 +119,21 @@ def two_pairs() -> Flight:
         {"position": (30.0, 29.0), "name": "ugv_1", "goals": ((30.0, 20.0),)},
         {"position": (10.0, 11.0), "name": "ugv_0", "goals": ((20.0, 11.0),)},
     ]
-    return fly(pairs(uavs, ugvs, detections=Detections(noise=0.1), duration=40.0), 0)[0]
-
-
-def test_two_pairs_fly_each_uav_with_the_ugv_it_escorts(two_pairs: Flight) -> None:
-    assert two_pairs.world.names == ("uav_0", "uav_1", "ugv_0", "ugv_1")
-    assert two_pairs.world.escorts.tolist() == [[0, 3], [1, 2]]
-    states, escorts, noise = two_pairs.recorder.states, two_pairs.recorder.escorts, []
+    flight, _ = fly(pairs(uavs, ugvs, detections=Detections(noise=0.1), duration=40.0), 0)
+    assert flight.world.names == ("uav_0", "uav_1", "ugv_0", "ugv_1")
+    assert flight.world.escorts.tolist() == [[0, 3], [1, 2]]
+    states, escorts, noise = flight.recorder.states, flight.recorder.escorts, []
     for row, (a, g) in enumerate(((0, 3), (1, 2))):
         apart = states[:, a, :2] - states[:, g, :2]
         distance = np.hypot(*apart.T)
         np.testing.assert_allclose(escorts[:, row, 0], distance, rtol=1e-13)
         assert 1.0 < distance.max() < R_V
         noise.append((escorts[:, row, 2:4] - apart).ravel())
+        column, line = (states[-1, a, :2] / 0.25).astype(int)
+        assert flight.world.coverage[line, column] > 0.0  # one map of all UAVs
     assert abs(np.corrcoef(*noise)[0, 1]) < 0.1
     # V_G t - V_G²/(2 U_G)
     np.testing.assert_allclose(states[-1, 2:, :2], [(17.8, 11.0), (30.0, 21.2)], atol=1e-6)
-
-
-def test_one_map_holds_what_all_uavs_have_seen(two_pairs: Flight) -> None:
-    for p in two_pairs.recorder.states[-1, :2, :2]:
-        assert two_pairs.world.coverage[int(p[1] / 0.25), int(p[0] / 0.25)] > 0.0
 
 
 def test_vehicles_brake_when_their_commands_stop() -> None:
