@@ -116,7 +116,8 @@ def test_ugv_drives_at_its_bounds_and_stops_at_its_goal() -> None:
     ugv = Ugv(position=HERE, goals=((22.0, 20.0), (20.0, 22.0), (24.0, 24.0)))
     _, track = tracks(fly(escort("tracking", ugv=ugv, duration=80.0), 0)[0])
     assert np.hypot(track[:-1, 4], track[:-1, 5]).max() == pytest.approx(U_G, rel=1e-12)
-    assert np.hypot(track[:, 2], track[:, 3]).max() == pytest.approx(V_G, rel=1e-12)
+    fastest = np.hypot(track[:, 2], track[:, 3]).max()
+    assert V_G * (1.0 - 1e-12) <= fastest <= V_G * (1.0 + 1e-15)
     assert track[-1, :2] == pytest.approx((24.0, 24.0), abs=1e-6)
 
 
@@ -151,10 +152,8 @@ def test_before_the_first_detection_the_uav_brakes() -> None:
 
 def test_the_uavs_command_is_within_its_bound() -> None:
     for law in ("tracking", "switching", "logarithmic", "circle"):
-        u_x, u_y = (
-            UavPilot(briefing_of(escort(law))).act(uav_sees(0, (0.0, (R_V, 1.0)))).acceleration
-        )
-        assert norm(u_x, u_y) <= U_A * (1.0 + 1e-15)
+        command = UavPilot(briefing_of(escort(law))).act(uav_sees(0, (0.0, (R_V, 1.0))))
+        assert norm(*command.acceleration) <= U_A * (1.0 + 1e-15)
 
 
 def test_uav_reports_its_estimate_of_the_ugv() -> None:
