@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from agents.safety.handover import check_assumptions
+from agents.safety.safety_filter import SafetyFilter
 from bus.errors import ScenarioError
 from bus.messages.ground import Hazard
 from bus.messages.vehicle import UavObservation
-from flights import DECLARED_BOUNDS, briefing_of, certified
+from flights import DECLARED_BOUNDS, briefing_of, certified, uav_sees
 from outrider.running.assumptions import shortfalls
 from outrider.running.flying import fly
 from sim.compiling.records import record_type, records
@@ -109,6 +110,16 @@ def test_tracking_error_reduces_the_radius_and_adds_to_the_error() -> None:
         wrong = certified(**numbers, eps=0.3, tracking=tracking)
         (fault,) = check_assumptions(wrong)
         assert f"max_tracking_error = {tracking} m" in fault
+
+
+def test_certified_distance_counts_the_tracking_error_twice() -> None:
+    briefed = briefing_of(WINDY)
+    keeper, seen = SafetyFilter(briefed), uav_sees(0, (0.0, (1.5, -2.0)), position=(8.0, 7.0))
+    keeper.see(seen)
+    found = keeper.filter(seen, (0.0, 0.0)).certified_distance
+    assert briefed.safety.max_tracking_error > 0.0
+    bound = briefed.safety.max_measurement_error + 2.0 * briefed.safety.max_tracking_error
+    assert found == pytest.approx(2.5 + bound, rel=1e-12)
 
 
 # -- the world
