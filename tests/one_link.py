@@ -9,6 +9,12 @@ from sim.channel.recorded import RecordedLink
 from sim.models.randomness import Key
 
 
+def conserved(status: LinkStatus) -> bool:
+    """Return whether every message sent or duplicated is delivered, lost, queued or in transit."""
+    left = status.delivered + sum(status.lost.values()) + status.queued + status.in_transit
+    return status.sent + status.duplicated == left
+
+
 class OneLink:
     """The only link of a `Links`."""
 

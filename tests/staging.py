@@ -6,7 +6,6 @@ through.
 
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -52,20 +51,16 @@ class Vanished(Exception):
     """Raised to end a vehicle's process without notice."""
 
 
-class _Threaded(ABC):
+class _Threaded:
     """A thread that runs from its construction on."""
 
-    def __init__(self) -> None:
-        self._thread = threading.Thread(target=self._run, daemon=True)
+    def __init__(self, run: Callable[[], None]) -> None:
+        self._thread = threading.Thread(target=run, daemon=True)
         self._thread.start()
 
     def join(self) -> None:
         self._thread.join(60.0)
         assert not self._thread.is_alive()
-
-    @abstractmethod
-    def _run(self) -> None:
-        """The body of the thread."""
 
 
 class Program(_Threaded):
@@ -83,7 +78,7 @@ class Program(_Threaded):
         self._briefings = session.inbox(BRIEFING[role], name)
         self._commands, self._answer = session.outbox(COMMAND[role], name), answer
         session.announce()
-        super().__init__()
+        super().__init__(self._run)
 
     def _run(self) -> None:
         assert self._briefings.receive(20.0) is not None
@@ -99,35 +94,34 @@ class Vehicle(_Threaded):
     Args:
         endpoint: Endpoint of the router.
         name: The vehicle.
+        is_open: The router needs no credentials.
         until: The last tick that it answers.
         successor: Called when it has ended.
         on_tick: Called with each tick before it acts.
     """
 
     def __init__(
-        self, endpoint, name, until=None, on_tick=lambda _tick: None, successor=lambda: None
-    ):
+        self,
+        endpoint: str,
+        name: str,
+        *,
+        is_open: bool = False,
+        until: int | None = None,
+        successor: Callable[[], None] = lambda: None,
+        on_tick: Callable[[int], object] = lambda _tick: None,
+    ) -> None:
         self.name = name
+        self._party, self._credential = GIVEN.of(name).party, None if is_open else GIVEN.of(name)
         self.seen: list[Any] = []
         """All observations, its past first."""
-        self._endpoint, self._until, self._on_tick, self._successor = (
-            endpoint,
-            until,
-            on_tick,
-            successor,
-        )
-        super().__init__()
+        self._endpoint, self._until = endpoint, until
+        self._on_tick, self._successor = on_tick, successor
+        super().__init__(self._run)
 
     def _run(self) -> None:
-        credential = GIVEN.of(self.name)
+        bus: dict[str, Any] = {"connect": self._endpoint, "credential": self._credential}
         try:
-            process.fly(
-                credential.party,
-                self._make,
-                connect=self._endpoint,
-                run="run",
-                credential=credential,
-            )
+            process.fly(self._party, self._make, run="run", **bus)
         except Vanished:
             self._successor()
 
@@ -159,24 +153,16 @@ class Stage:
         )
         run = Run(**{key: options.pop(key) for key in set(options) & {*Run.__struct_fields__}})
         scenario = msgspec.structs.replace(scenario, run=run)
-        self.server = Server(
-            self.server_session,
-            scenario,
-            scenario.seed,
-            on_event=self.events.append,
-            **options,
-        )
+        options["on_event"] = self.events.append
+        self.server = Server(self.server_session, scenario, scenario.seed, **options)
         self.vehicles: list[Any] = []
         self._stack = stack
 
-    def start(self, name, *, until=None, again=False, on_tick=lambda _tick: None):
+    def start(self, name: str, *, again: bool = False, **options: Any) -> Vehicle:
         """Start a vehicle; with `again`, another one replaces it when it has ended."""
-
-        def successor() -> None:
-            if again:
-                self.start(name)
-
-        self.vehicles.append(Vehicle(self.endpoint, name, until, on_tick, successor))
+        if again:
+            options["successor"] = lambda: self.start(name)
+        self.vehicles.append(Vehicle(self.endpoint, name, **options))
         return self.vehicles[-1]
 
     def start_both(self) -> list[Vehicle]:
@@ -235,7 +221,7 @@ def raw_session(endpoint: str, credential: Credential | None, **settings: Any) -
 
 def zenoh_of(session: Session) -> zenoh.Session:
     """Return the raw session below ours, without its checks."""
-    return session._zenoh
+    return session.below
 
 
 @contextmanager

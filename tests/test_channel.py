@@ -19,7 +19,7 @@ from scipy import stats
 from bus.errors import ScenarioError
 from bus.messages.links import LinkSettings, LinkStatus
 from bus.profiles import PROFILES
-from one_link import OneLink
+from one_link import OneLink, conserved
 from properties import PROPERTY
 from seeded import a_key
 from sim.channel.description import KEEPS, check_link, extra_delays, link_parameters
@@ -106,13 +106,6 @@ def _spread(share: float, n: float = MILLION) -> float:
     return 4.0 * math.sqrt(share * (1.0 - share) / n)
 
 
-def _conserved(status: LinkStatus) -> bool:
-    return (
-        status.sent + status.duplicated
-        == status.delivered + sum(status.lost.values()) + status.queued + status.in_transit
-    )
-
-
 def _only(status: LinkStatus, *causes: str) -> bool:
     """Return whether messages were lost by this cause only."""
     return not any(number for cause, number in status.lost.items() if cause not in causes)
@@ -159,15 +152,6 @@ def test_independent_losses_have_their_share_and_no_memory(loss: float) -> None:
     assert abs(np.corrcoef(lost[:-1], lost[1:])[0, 1]) < 4.0 / math.sqrt(MILLION)
 
 
-def test_a_share_of_one_is_all_and_of_nought_is_none() -> None:
-    assert Flown(LinkSettings(loss=1.0), 1000).status.lost["loss"] == 1000
-    twice = Flown(LinkSettings(duplicates=1.0), 1000).status
-    assert twice.duplicated == 1000
-    assert (twice.delivered, twice.delivery_ratio) == (2000, 1.0)
-    half = Flown(LinkSettings(duplicates=1.0, loss=0.5), 1000).status
-    assert half.delivery_ratio == 1.0 - half.lost["loss"] / 1000  # a copy is no further message
-
-
 def _runs(flags: np.ndarray) -> np.ndarray:
     """Return the lengths of the runs of true values that start and end inside."""
     edges = np.flatnonzero(np.diff(flags.astype(np.int8)))
@@ -176,11 +160,14 @@ def _runs(flags: np.ndarray) -> np.ndarray:
     return np.diff(edges[: len(edges) // 2 * 2])[::2]
 
 
-@pytest.mark.parametrize(("length", "interval"), [(0.5, 2.0), (0.02, 0.03), (2.0, 1.0)])
-def test_bursts_are_a_gilbert_elliott_chain_sampled_exactly(length: float, interval: float) -> None:
-    flown = Flown(LinkSettings(burst_length=length, burst_interval=interval), MILLION)
+@pytest.mark.parametrize(
+    ("length", "interval", "dt"),
+    [(0.5, 2.0, DT), (0.02, 0.03, DT), (2.0, 1.0, DT), (0.2, 0.3, 0.01)],
+)
+def test_bursts_are_a_gilbert_elliott_chain_sampled_exactly(length, interval, dt) -> None:
+    flown = Flown(LinkSettings(burst_length=length, burst_interval=interval), MILLION, dt=dt)
     bad, share = flown.missing, length / (length + interval)
-    decay = math.exp(-DT * (1.0 / length + 1.0 / interval))
+    decay = math.exp(-dt * (1.0 / length + 1.0 / interval))
     effective = MILLION * (1.0 - decay) / (1.0 + decay)
     assert bad.mean() == pytest.approx(share, abs=_spread(share, effective))
     assert flown.status.lost["burst"] == bad.sum()
@@ -194,13 +181,6 @@ def test_bursts_are_a_gilbert_elliott_chain_sampled_exactly(length: float, inter
     shares = [*(leave * (1.0 - leave) ** np.arange(top - 1)), (1.0 - leave) ** (top - 1)]
     wanted = len(runs) * np.array(shares)
     assert stats.chisquare(found, wanted).pvalue > 1e-3
-
-
-def test_a_burst_lasts_as_long_as_it_should_whatever_the_tick() -> None:
-    for dt in (0.001, 0.01):
-        bad = Flown(LinkSettings(burst_length=0.2, burst_interval=0.3), 400_000, dt=dt).missing
-        runs = _runs(bad) * dt
-        assert runs.mean() == pytest.approx(0.2, abs=4.0 * 0.2 / math.sqrt(len(runs)) + 2.0 * dt)
 
 
 def test_burst_losses_add_to_independent_losses() -> None:
@@ -241,21 +221,17 @@ def test_planned_blackouts_drop_messages_sent_within_them() -> None:
 def test_random_blackouts_take_their_share_of_the_time(length: float, interval: float) -> None:
     flown = Flown(LinkSettings(blackout_length=length, blackout_interval=interval), MILLION)
     share, cycle = length / (length + interval), length + interval
-    cycles = MILLION * DT / cycle
-    deviation = 4.0 * length * interval / cycle**2 / math.sqrt(cycles) + _spread(share)
-    assert flown.in_blackout.mean() == pytest.approx(share, abs=deviation)
+    deviation = 4.0 * length * interval / cycle**2 / math.sqrt(MILLION * DT / cycle)
+    assert flown.in_blackout.mean() == pytest.approx(share, abs=deviation + _spread(share))
     assert flown.status.lost["blackout"] == flown.in_blackout.sum() == flown.missing.sum()
 
 
 def test_random_blackouts_are_a_poisson_process() -> None:
-    in_blackout = Flown(
-        LinkSettings(blackout_length=0.5, blackout_interval=1.0), MILLION, dt=0.001
-    ).in_blackout.astype(bool)
-    lit = _runs(~in_blackout) * 0.001
-    lengths, counts = np.unique(_runs(in_blackout), return_counts=True)
-    assert (
-        counts * (np.abs(lengths - 500) > 1)
-    ).sum() < 0.005 * counts.sum()  # two blackouts whose gap contains no tick count as one
+    settings = LinkSettings(blackout_length=0.5, blackout_interval=1.0)
+    in_blackout = Flown(settings, MILLION, dt=0.001).in_blackout.astype(bool)
+    lit, dark = _runs(~in_blackout) * 0.001, _runs(in_blackout)
+    # two blackouts whose gap contains no tick count as one
+    assert (np.abs(dark - 500) > 1).mean() < 0.005
     assert stats.kstest(lit, "expon").statistic < KS / math.sqrt(len(lit)) + 0.001
 
 
@@ -317,28 +293,24 @@ def test_only_a_longer_delay_lets_a_message_be_overtaken():
 
 def test_duplicates_and_held_back_messages_have_their_shares() -> None:
     flown = Flown(LinkSettings(delay=0.1, duplicates=0.2, reorder=0.3, reorder_delay=0.25), MILLION)
-    status, delays = flown.status, flown.delays
-    assert status.duplicated / MILLION == pytest.approx(0.2, abs=_spread(0.2))
-    assert set(delays.tolist()) == {2, 7}
-    assert (delays == 7).mean() == pytest.approx(0.3, abs=_spread(0.3))
-    apart = _pairs(flown)[:, 0] != _pairs(flown)[:, 1]
-    assert apart.mean() == pytest.approx(0.42, abs=_spread(0.42, len(apart)))
+    assert flown.status.duplicated / MILLION == pytest.approx(0.2, abs=_spread(0.2))
+    assert set(flown.delays.tolist()) == {2, 7}
+    assert (flown.delays == 7).mean() == pytest.approx(0.3, abs=_spread(0.3))
 
 
-def _pairs(flown: Flown) -> np.ndarray:
-    """Return both delays of each message that has arrived twice, the shorter first."""
+def test_a_copy_has_a_delay_of_its_own_and_is_no_further_message() -> None:
+    settings = LinkSettings(delay=0.5, jitter=0.4, duplicates=1.0, reorder=0.3, reorder_delay=2.0)
+    flown = Flown(settings, 50_000, dt=0.01)
     order = np.argsort(flown.arrived[:, 1], kind="stable")
     twice = np.bincount(flown.arrived[:, 1])[flown.arrived[order, 1]] == 2
-    return flown.delays[order][twice].reshape(-1, 2)
-
-
-def test_a_copy_has_a_delay_of_its_own() -> None:
-    flown = Flown(LinkSettings(delay=0.5, jitter=0.4, duplicates=1.0), 50_000, dt=0.01)
-    pairs = _pairs(flown).astype(float)
-    swapped = np.where(
-        np.random.default_rng(1).random((len(pairs), 1)) < 0.5, pairs, pairs[:, ::-1]
-    )
+    pairs = flown.delays[order][twice].reshape(-1, 2)  # the shorter delay first
+    swapped = np.random.default_rng(1).permuted(pairs, axis=1)
     assert abs(np.corrcoef(swapped.T)[0, 1]) < 4.0 / math.sqrt(len(pairs))
+    late = (pairs > 150).sum(axis=1)  # held back or not, each for itself
+    assert (late == 1).mean() == pytest.approx(0.42, abs=_spread(0.42, len(pairs)))
+    half = Flown(LinkSettings(duplicates=1.0, loss=0.5), 1000).status
+    assert half.duplicated == 1000 - half.lost["loss"]
+    assert half.delivery_ratio == 1.0 - half.lost["loss"] / 1000
 
 
 # --- bandwidth
@@ -359,7 +331,7 @@ def test_link_carries_the_smaller_of_bandwidth_and_load(bandwidth, keep):
             assert flown.status.delivered == flown.status.sent
             assert flown.delays.max() == 0
         assert _only(flown.status, "queue")
-        assert _conserved(flown.status)
+        assert conserved(flown.status)
 
 
 @pytest.mark.parametrize("queue", [1, 3, 10])
@@ -373,15 +345,6 @@ def test_a_full_queue_keeps_the_newest_or_the_oldest_as_wanted(queue: int) -> No
     assert set(newest.delays[steady].tolist()) == {queue}
     assert set(oldest.delays[steady].tolist()) == {10 * queue}
     assert newest.status.queued == oldest.status.queued == queue
-
-
-def test_unfilled_queue_delays_a_burst_message_by_message() -> None:
-    link = OneLink(LinkSettings(bandwidth=4.0, queue=9), dt=DT, key=a_key(1, 1))
-    for k in range(10):
-        link.send(0, k, 0)
-    found = [(tick, message) for tick in range(100) for message in link.arrivals(tick)]
-    assert found == [(5 * k, k) for k in range(10)]
-    assert link.counters().lost == dict.fromkeys(CAUSES, 0)
 
 
 # --- combinations
@@ -414,17 +377,17 @@ def links(draw: st.DrawFn) -> LinkSettings:
 def test_no_message_appears_or_vanishes_and_none_lacks_room(first, then, each, seed):
     flown = Flown(first, 200, each=each, seed=seed)
     for wanted in (then, first, LinkSettings()):
-        assert _conserved(flown.status)
+        assert conserved(flown.status)
         assert flown.status.lost["full"] == 0
         assert flown.delays.min(initial=0) >= 0
         before = flown.status
         flown.change(wanted)
-        assert _conserved(flown.status)
+        assert conserved(flown.status)
         assert flown.status.in_transit == before.in_transit
         flown.advance(200)
     flown.advance(200)
     assert flown.status.queued == flown.status.in_transit == 0
-    assert _conserved(flown.status)
+    assert conserved(flown.status)
 
 
 @given(links(), st.integers(0, 2**53 - 1))
@@ -443,15 +406,7 @@ def test_messages_beyond_capacity_are_counted() -> None:
         exchange(links, packets, 0, traces, tick, np.full(5, float(tick)))
     status = link_status(links[0, 0])
     assert status.lost["full"] == status.sent - status.delivered - status.in_transit == 400
-    assert _conserved(status)
-
-
-def test_long_delayed_packet_leaves_room_for_others() -> None:
-    flown = Flown(LinkSettings(delay=10.0), 2)
-    flown.change(LinkSettings(delay=0.05))
-    flown.advance(250)
-    assert flown.status.lost["full"] == 0
-    assert flown.status.delivered == 251
+    assert conserved(status)
 
 
 # --- reproducibility
@@ -494,22 +449,15 @@ def test_neighbouring_numbers_links_and_seeds_are_independent() -> None:
         assert abs(np.corrcoef(first[both], other[both])[0, 1]) < 4.0 / math.sqrt(both.sum())
 
 
-@pytest.mark.parametrize("field", ["loss", "burst_loss", "duplicates", "reorder"])
-def test_a_greater_share_takes_the_same_messages_and_more(field: str) -> None:
+@pytest.mark.parametrize("field", ["loss", "burst_loss"])
+def test_a_greater_share_loses_the_same_messages_and_more(field: str) -> None:
     """Draws do not depend on settings, so two settings can be compared on the same random numbers."""
-    settled = msgspec.structs.replace(
-        BUSY, bandwidth=0.0, loss=0.0, burst_loss=0.0, duplicates=0.0, reorder=0.0, jitter=0.0
-    )
+    settled = msgspec.structs.replace(BUSY, bandwidth=0.0, loss=0.0, burst_loss=0.0)
     less, more = (
-        Flown(msgspec.structs.replace(settled, **{field: share}), 5000).arrived
-        for share in (0.1, 0.4)
+        Flown(msgspec.structs.replace(settled, **{field: share}), 5000) for share in (0.1, 0.4)
     )
-    seen = [{(int(sent), int(tick - sent)) for tick, sent, _ in rows} for rows in (less, more)]
-    if field == "reorder":
-        seen = [{sent for sent, delay in each if delay > 2} for each in seen][::-1]
-    elif field == "duplicates":
-        seen = [set(np.flatnonzero(np.bincount(rows[:, 1]) == 2)) for rows in (more, less)]
-    assert seen[1] < seen[0]
+    arrived = [{tuple(row) for row in flown.arrived.tolist()} for flown in (less, more)]
+    assert arrived[1] < arrived[0]
 
 
 # --- changes of settings
@@ -563,29 +511,22 @@ def test_burst_and_blackout_continue_under_other_settings() -> None:
 # --- age of information, and the link for Python objects
 
 
-def test_age_of_information_is_that_of_the_newest_delivery() -> None:
-    link = OneLink(LinkSettings(delay=0.1, blackouts=((0.5, 0.3),)), dt=DT, key=a_key(1, 1))
+@pytest.mark.parametrize("every", [1, 3, 70])
+def test_age_of_information_is_that_of_the_newest_delivery(every: int) -> None:
+    settings = LinkSettings(delay=0.1, reorder=0.5, reorder_delay=1.0, blackouts=((0.5, 0.3),))
+    link = OneLink(settings, dt=DT, key=a_key(1, 1))
     assert link.counters().age is None
-    ages = []
-    for tick in range(30):
-        link.send(tick, tick, tick - 3)
-        link.arrivals(tick)
-        if tick >= 2:
-            newest = tick - 2 if not 12 <= tick < 18 else 9
-            ages.append((tick - newest + 3) * DT)
+    ages, delivered = [], []
+    for tick in range(300):
+        if tick % every == every // 2:
+            link.send(tick, tick, tick - 3)
+        delivered += link.arrivals(tick)
+        if delivered:
+            ages.append((tick - max(delivered) + 3) * DT)
             assert link.counters().age == pytest.approx(ages[-1])
+    assert delivered != sorted(delivered) or every == 70
     assert link.counters().mean_age == pytest.approx(np.mean(ages))
     assert link.counters().max_age == pytest.approx(max(ages))
-
-
-def test_late_messages_do_not_increase_the_age() -> None:
-    flown = Flown(LinkSettings(delay=0.2, reorder=0.5, reorder_delay=1.0), 300)
-    newest, total = -1, 0
-    for tick in range(300):
-        newest = max([newest, *flown.arrived[flown.arrived[:, 0] == tick, 1]])
-        total += tick - newest if newest >= 0 else 0
-    assert (np.diff(flown.arrived[:, 1]) < 0).any()
-    assert flown.links["age_sum"][0, 0] == total
 
 
 class _Message:
@@ -612,31 +553,6 @@ def test_python_objects_arrive_unchanged_and_are_released(name: str) -> None:
     for tick in range(2000, 2200):
         link.arrivals(tick)
     assert not kept
-
-
-@pytest.mark.parametrize("every", [1, 3, 70])
-def test_a_link_counts_ticks_without_messages(every: int) -> None:
-    links, packets, traces = new_links([link_parameters(LinkSettings(), DT, per_tick=2)])
-    link = OneLink(LinkSettings(), dt=DT, key=a_key(1, 1))
-    for tick in range(200):
-        stamps = [float(tick - 4 - k) for k in range(2) if tick % every == every // 2]
-        for stamp in stamps:
-            link.send(tick, stamp, stamp)
-        assert link.arrivals(tick) == stamps
-        exchange(links, packets, 0, traces, tick, np.array(stamps))
-        if tick % 13 == 0:
-            assert link.counters() == link_status(links[0, 0], LinkSettings())
-    assert link.counters() == link_status(links[0, 0], LinkSettings())
-
-
-def test_objects_change_over_with_the_settings() -> None:
-    link = OneLink(LinkSettings(delay=0.5), dt=DT, key=a_key(1, 1))
-    link.send(0, "late", 0)
-    assert link.arrivals(0) == []
-    link.send(1, "soon", 1)
-    link.change(LinkSettings())
-    assert link.arrivals(1) == ["soon"]
-    assert [message for tick in range(2, 11) for message in link.arrivals(tick)] == ["late"]
 
 
 # --- settings
@@ -676,9 +592,7 @@ def test_an_impossible_link_is_refused_in_one_line(field: str) -> None:
 
 def test_checked_settings_are_equal_and_have_their_types() -> None:
     checked = check_link(LinkSettings(delay=1, loss=np.float64(0.5), blackouts=((1, 2),)), "test")
-    assert checked == LinkSettings(delay=1.0, loss=0.5, blackouts=((1.0, 2.0),))
-    values = (checked.delay, checked.loss, checked.blackouts[0][0])
-    assert {type(value) for value in values} == {float}
+    assert repr(checked) == repr(LinkSettings(delay=1.0, loss=0.5, blackouts=((1.0, 2.0),)))
 
 
 @pytest.mark.parametrize("name", PROFILES)
@@ -686,7 +600,7 @@ def test_each_profile_is_a_link_that_does_what_it_says(name: str) -> None:
     profile = check_link(PROFILES[name], name)
     assert msgspec.json.decode(msgspec.json.encode(profile), type=LinkSettings) == profile
     status = Flown(profile, 100_000).status
-    assert _conserved(status)
+    assert conserved(status)
     assert status.lost["full"] == 0
     assert (status.delivery_ratio == 1.0) == (name == "perfect")
     assert extra_delays(profile)[1] + profile.delay < 1.0

@@ -139,27 +139,23 @@ def test_inbox_delivers_valid_messages_and_counts_the_rest(wire: Wire) -> None:
     assert wire.carry(()) == []
 
 
-def resident() -> int:
-    """Return the memory of this process in use [bytes]."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-
-
 def test_garbage_leaves_nothing_behind(wire: Wire) -> None:
     measured = []
     for _ in range(3):
         wire.carry(stream())
         gc.collect()
-        measured.append((sys.getallocatedblocks(), len(gc.get_objects()), resident()))
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        measured.append((sys.getallocatedblocks(), pages * os.sysconf("SC_PAGE_SIZE")))
     _, warm, after = measured
     assert after[0] - warm[0] < 500, measured  # of 20,000 payloads
-    assert after[1] - warm[1] < 500, measured
-    assert after[2] - warm[2] < 10e6, measured  # of 5 MB
+    assert after[1] - warm[1] < 10e6, measured  # of 5 MB
 
 
-OTHERS = ((UAV_COMMAND, "uav_0"), (UAV_OBSERVATION, "uav_0"), (OPERATOR, "ugv_0"))
-FOREIGN: tuple[tuple[Key, str], ...] = (*OTHERS, (CONTROL, ""))
-UNREAD: tuple[tuple[Key, str], ...] = ((UGV_COMMAND, "nobody"), (TRUTH, ""), (STATUS, ""))
-"""Keys without a reader in this run."""
+FOREIGN = (
+    *((UAV_COMMAND, "uav_0"), (UAV_OBSERVATION, "uav_0"), (OPERATOR, "ugv_0"), (CONTROL, "")),
+    *((UGV_COMMAND, "nobody"), (TRUTH, ""), (STATUS, "")),
+)
+"""Keys of other vehicles and of other writers; the last three have no reader in this run."""
 
 
 def undecodable(key: Key, rng: random.Random) -> bytes:
@@ -168,20 +164,19 @@ def undecodable(key: Key, rng: random.Random) -> bytes:
     return payload
 
 
-class Flood:
-    """All the invalid messages of one vehicle's session, on its own key and on others."""
+def flood_from(session: Session) -> Callable[[], None]:
+    """Return a function that sends all invalid messages of a vehicle's session, on its own key and on others."""
+    own, rng = (UGV_COMMAND, "ugv_0"), random.Random(13)
+    writers = [
+        (key, publisher(session, key.expression("run", vehicle)))
+        for key, vehicle in (*[own] * GARBAGE_PER_TICK, *FOREIGN)
+    ]
 
-    def __init__(self, session: Session) -> None:
-        own = ((UGV_COMMAND, "ugv_0"),) * GARBAGE_PER_TICK
-        self._rng = random.Random(13)
-        self._writers = [
-            (key, publisher(session, key.expression("run", vehicle)))
-            for key, vehicle in (*own, *FOREIGN, *UNREAD)
-        ]
+    def flood() -> None:
+        for key, writer in writers:
+            writer.put(undecodable(key, rng))
 
-    def __call__(self) -> None:
-        for key, writer in self._writers:
-            writer.put(undecodable(key, self._rng))
+    return flood
 
 
 def steadily(command: Any) -> Callable[[Any, int], None]:
@@ -204,7 +199,7 @@ def test_flood_of_garbage_is_counted_and_changes_no_flight(tmp_path: Path) -> No
         uav = run.program("uav_0", steadily(UavCommand))
         answer = steadily(UgvCommand)
         ugv = run.program("ugv_0", lambda commands, tick: (flood(), answer(commands, tick)))
-        flood = Flood(ugv.session)
+        flood = flood_from(ugv.session)
         flight = run.fly()
         vehicles = run.server.vehicles()
     assert flight.complete
@@ -216,12 +211,12 @@ def test_flood_of_garbage_is_counted_and_changes_no_flight(tmp_path: Path) -> No
     assert len({*run.events} - {stranger}) == len(run.events) - 1 == 2
 
 
-@pytest.mark.parametrize(
-    "expression", ["**", "outrider/**", "*/run/ugv_0/*", "outrider/*/ugv_0/command"]
-)
-def test_message_on_a_wildcard_key_is_not_delivered(wire: Wire, expression: str) -> None:
-    zenoh_of(wire.client).put(expression, b'{"tick":1,"acceleration":[0,0]}')
+def test_message_on_a_foreign_or_wildcard_key_is_not_delivered(wire: Wire) -> None:
+    foreign = ("outrider/run/nobody/command", "outrider/another/ugv_0/command")
+    for key in (*foreign, "**", "outrider/**", "*/run/ugv_0/*", "outrider/*/ugv_0/command"):
+        zenoh_of(wire.client).put(key, b'{"tick":1,"acceleration":[0,0]}')
     assert wire.carry(()) == []
+    assert not any(wire.inbox.refused.values())
 
 
 def test_a_fault_is_one_printable_line(wire: Wire) -> None:

@@ -15,11 +15,11 @@ from flights import degraded, escort
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
+from refusals import SMALL
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, LinkTable, Ugv
 from sim.server.flight import Flight
 from staging import stage
-from tabular import words
 
 
 def moving(links: LinkTable, **fields: Any) -> Flight:
@@ -27,28 +27,18 @@ def moving(links: LinkTable, **fields: Any) -> Flight:
     return Flight(escort(links=links, ugv=ugv, duration=20.0, **fields), 3)
 
 
-def test_link_has_its_profile_and_the_changes_to_it() -> None:
-    changes = words(
-        "links.profile=lte links.commands.profile=wifi links.commands.delay=0.4 links.radio.loss=0.5"
+def test_links_have_their_profile_and_the_changes_to_it(tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text(
+        '[links]\nprofile = "lte"\n[links.commands]\nprofile = "wifi"\ndelay = 0.4\n'
+        '[[links.only]]\nvehicle = "uav_0"\ncommands = { loss = 0.1 }\n' + SMALL
     )
-    table = load_scenario("escort", overrides=changes).links
-    assert table.detections == table.operator == PROFILES["lte"]
-    assert table.commands == msgspec.structs.replace(PROFILES["wifi"], delay=0.4)
-    assert table.radio == msgspec.structs.replace(PROFILES["lte"], loss=0.5)
-
-
-def test_a_vehicle_may_have_links_of_its_own(tmp_path: Path) -> None:
-    file = tmp_path / "own.toml"
-    file.write_text(
-        '[links]\nprofile = "lte"\n[links.commands]\ndelay = 0.2\n[[links.only]]\nvehicle = "uav_0"\ncommands = '
-        "{ loss = 0.1 }\n"
-        "[[uav]]\nposition = [10, 10]\n[[ugv]]\nposition = [10, 10]\n"
-    )
-    links = load_scenario(file).links
+    links = load_scenario(tmp_path / "own.toml", overrides=["links.radio.loss=0.5"]).links
     lte, with_ = PROFILES["lte"], msgspec.structs.replace
-    assert links.of("ugv_0", LinkKind.COMMANDS) == with_(lte, delay=0.2)
-    assert links.of("uav_0", LinkKind.COMMANDS) == with_(lte, delay=0.2, loss=0.1)
-    assert links.of("uav_0", LinkKind.DETECTIONS) == lte
+    assert links.detections == links.operator == links.of("uav_0", LinkKind.DETECTIONS) == lte
+    assert links.radio == with_(lte, loss=0.5)
+    commands = with_(PROFILES["wifi"], delay=0.4)
+    assert links.commands == links.of("ugv_0", LinkKind.COMMANDS) == commands
+    assert links.of("uav_0", LinkKind.COMMANDS) == with_(commands, loss=0.1)
 
 
 def test_a_detection_comes_late_and_says_when_it_was_taken() -> None:
