@@ -99,28 +99,12 @@ def test_planned_route_reaches_the_simulator_and_no_vehicle() -> None:
     assert readers == {Role.SIMULATOR, Role.OBSERVER, Role.OPERATOR}
 
 
+MODELS = """
+    altitude buildings camera field grid ground hazards motion polygons randomness safety sensor
+    sensors sensors.hill sensors.plateau shadows vehicles"""
 ON_BOARD = {
-    "sim.models.altitude",
-    "sim.models.vehicles",
-    "sim.models.buildings",
-    "sim.models.camera",
-    "sim.models.field",
-    "sim.models.grid",
-    "sim.models.ground",
-    "sim.models.hazards",
-    "sim.models.motion",
-    "sim.models.polygons",
-    "sim.models.randomness",
-    "sim.models.safety",
-    "sim.models.sensor",
-    "sim.models.sensors",
-    "sim.models.sensors.hill",
-    "sim.models.sensors.plateau",
-    "sim.models.shadows",
-    "sim.compiling.compile",
-    "sim.compiling.dispatch",
-    "sim.compiling.lanes",
-    "sim.compiling.records",
+    *(f"sim.models.{name}" for name in words(MODELS)),
+    *(f"sim.compiling.{name}" for name in words("compile dispatch lanes records")),
 }
 """All modules of the simulator on board of a vehicle."""
 ROOMS = {"sim.models", "sim.compiling"}
