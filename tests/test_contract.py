@@ -124,7 +124,7 @@ def test_import_contract_covers_all_simulator_modules() -> None:
     assert {*contract["forbidden_modules"]} == rooms | (modules - ON_BOARD) | {"outrider"}
 
 
-def test_import_contracts_hold_and_catch_an_agent_reading_the_world(tmp_path: Path) -> None:
+def test_import_contracts_hold_and_catch_a_forbidden_import(tmp_path: Path) -> None:
     pytest.importorskip("importlinter", reason="a development tool")
     lint = [Path(sys.executable).with_name("lint-imports"), "--no-cache"]
     ours = ran(lint, cwd=ROOT)
