@@ -63,11 +63,12 @@ class Session:
 
     def close(self) -> None:
         """Stop the timer and all readers; the Zenoh session closes with its `with`."""
-        with self._gate:
-            self._closing.set()
-        self._alarm.join()
+        self._closing.set()
         for inbox in self._inboxes:
-            inbox.close()
+            inbox.close()  # which empties it: a wake-up that waits for room ends
+        self._alarm.join()
+        with self._gate:
+            pass  # the last wake-up by `poke` has ended
 
     @property
     def below(self) -> zenoh.Session:
