@@ -1,19 +1,22 @@
 """Packages beside Outrider: the one in CONTRIBUTING.md, whose law, driver and sensor fly, and examples/plugin."""
 
+import configparser
 import json
 import os
 import re
-import subprocess
 import tomllib
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from processes import OUTRIDER, PIPES, free_port, outrider, python
+from bus import plugins
+from bus.policies import policy_kinds
+from bus.rows import LawRow
+from processes import free_port, python, started
 from tabular import words
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -51,6 +54,7 @@ from agents.drivers.dispatch import driver_command, driver_memories, driver_tabl
 from agents.drivers.parameters import DriverInputs
 from agents.laws.dispatch import law_memories, law_tables, nominal_command
 from agents.uav_parameters import Target
+from bus.errors import ScenarioError
 from my_package import cautious, zigzag
 from outrider.running.flying import fly
 from sim.engine.briefing import uav_briefing, ugv_briefing
@@ -81,7 +85,14 @@ memories, own = driver_memories(drivers, 1), Motion(10.0, 10.0, 0.1, 0.0)
 driver = [driver_command(drivers, memories, at, inputs, 7, own)]
 rows = drivers.ugvs[0], drivers.parameters.zigzag[0], memories.zigzag[at]
 driver.append(zigzag.command(*rows, inputs, 7, own))
+def refused(change):
+    try:
+        outrider.load_scenario(sys.argv[1], overrides=[change])
+    except ScenarioError as error:
+        return str(error)
+
 print(json.dumps({
+    "refused": [refused(change) for change in sys.argv[2:]],
     "hashes": [flown(*change)[1].trajectory_sha256 for change in changes],
     "positions": flight.world.position.tolist(),
     "dispatched": [law, driver],
@@ -106,12 +117,10 @@ def install(folder: Path, text: str) -> Path:
     info = folder / f"{name.replace('-', '_')}-1.0.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n", "utf-8")
-    lines = [
-        line
-        for group, named in project["entry-points"].items()
-        for line in (f"[{group}]", *(f"{name} = {where}" for name, where in named.items()))
-    ]
-    (info / "entry_points.txt").write_text("\n".join(lines), "utf-8")
+    points = configparser.ConfigParser()
+    points.read_dict(project["entry-points"])
+    with (info / "entry_points.txt").open("w", encoding="utf-8") as file:
+        points.write(file)
     return folder
 
 
@@ -139,9 +148,19 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+REFUSED = {
+    "law.name=cautios": "did you mean 'cautious'?",
+    "law.parameters.powr=1": "law.parameters.powr = 1: unknown parameter, did you mean 'power'?",
+    "law.parameters.power=x": 'law.parameters.power = "x": not a number',
+    "ugv.0.driver=zigzg": "did you mean 'zigzag'?",
+    "sensor.model=con": "did you mean 'cone'?",
+}
+
+
 def answer(package: Path, code: str) -> dict[str, Any]:
     """Return the JSON output of a program that uses the package and the scenario."""
-    done = python(code, str(package / "plugged.toml"), env=with_package(package), cwd=package)
+    file, env = str(package / "plugged.toml"), with_package(package)
+    done = python(code, file, *REFUSED, env=env, cwd=package)
     found: dict[str, Any] = json.loads(done.stdout)
     return found
 
@@ -176,35 +195,19 @@ def test_they_fly_the_same_bits_in_processes_of_their_own(package, flights) -> N
     assert json.loads(done.stdout)["trajectory_sha256"] == flights["hashes"][0]
 
 
-REFUSED = {
-    "law.name=cautios": "did you mean 'cautious'?",
-    "law.parameters.powr=1": "law.parameters.powr = 1: unknown parameter, did you mean 'power'?",
-    "law.parameters.power=x": 'law.parameters.power = "x": not a number',
-    "ugv.0.driver=zigzg": "did you mean 'zigzag'?",
-    "sensor.model=con": "did you mean 'cone'?",
-}
+def test_its_names_and_parameters_are_checked(flights: dict[str, Any]) -> None:
+    for phrase, line in zip(REFUSED.values(), flights["refused"], strict=True):
+        assert phrase in line
 
 
-def test_check_knows_them(package: Path) -> None:
-    code = (
-        "import sys\nfrom outrider.cli.main import run_command_line\n_, file, *changes = sys.argv\n"
-        "for change in changes:\n"
-        "    sys.argv = ['outrider', 'check', file, '--set', change]\n"
-        "    assert run_command_line() == 2\n"
-    )
-    own = {"env": with_package(package, COLUMNS="300"), "cwd": package}
-    lines = python(code, str(package / "plugged.toml"), *REFUSED, **own).stderr.splitlines()
-    assert len(lines) == len(REFUSED)
-    assert all(phrase in line for phrase, line in zip(REFUSED.values(), lines, strict=True)), lines
-
-
-def test_an_entry_point_that_names_no_row_is_ignored(tmp_path: Path) -> None:
+def test_an_entry_point_that_names_no_row_is_ignored(tmp_path, monkeypatch, capsys) -> None:
     text = (
         '[project.entry-points."outrider.laws"]\n'
         'gone = "my_package.rows:GONE"\ncone = "my_package.rows:CONE"\n'
     )
-    with_points = with_package(installed_guide(tmp_path / "p", text))
-    errors = python("import bus.registry", env=with_points).stderr
+    monkeypatch.syspath_prepend(installed_guide(tmp_path, text))
+    assert not {"gone", "cone"} & plugins.load_all("laws", LawRow).keys()
+    errors = capsys.readouterr().err
     assert "outrider.laws: 'gone' of my-package is ignored: module" in errors
     assert "is ignored: my_package.rows:CONE is not a LawRow" in errors
 
@@ -233,37 +236,38 @@ def test_compile_cache_depends_on_plugin_files_and_names(tmp_path: Path) -> None
 # The package in examples/plugin
 
 
-def test_its_command_is_listed_and_its_policy_drives(package: Path, command: Any) -> None:
-    env = with_package(package)
-    listed = outrider("--help", env=env).stdout
-    assert "Fly a UAV that hovers over its UGV." in listed
-    assert "Example: outrider hover" in outrider("hover", "--help", env=env).stdout
+@pytest.fixture
+def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Install the package for this process; the kinds of policies are cached."""
+    install(tmp_path, (PLUGIN / "pyproject.toml").read_text(encoding="utf-8"))
+    for folder in (PLUGIN, tmp_path):
+        monkeypatch.syspath_prepend(folder)
+    policy_kinds.cache_clear()
+    yield
+    policy_kinds.cache_clear()
+
+
+@pytest.mark.usefixtures("plugin")
+def test_its_command_is_listed_and_its_policy_drives(command) -> None:
     run = words("run escort --in-process --duration 2 --no-files --json")
-    driven = outrider(*run, "--driver", "gain:0.3", env=env, timeout=300.0)
-    assert driven.returncode == 0, driven.stderr
     plain = json.loads(command(*run).stdout)
+    assert "Fly a UAV that hovers over its UGV." in command("--help").stdout
+    assert "Example: outrider hover" in command("hover", "--help").stdout
+    driven = command(*run, "--driver", "gain:0.3")
+    assert driven.returncode == 0, driven.stderr
     assert json.loads(driven.stdout)["trajectory_sha256"] != plain["trajectory_sha256"]
-    wrong = outrider(*run, "--driver", "gain:fast", env=env)
+    wrong = command(*run, "--driver", "gain:fast")
     assert (wrong.returncode, "allowed: gain:0.3" in wrong.stderr) == (2, True)
-    assert command(*run, "--driver", "gain:0.3").returncode == 2
 
 
-@contextmanager
-def process(*arguments: str, env: dict[str, str]) -> Iterator[Any]:
-    with subprocess.Popen([*OUTRIDER, *arguments], **PIPES, env=env) as one:
-        try:
-            yield one
-        finally:
-            one.kill()
-
-
-def test_its_pilot_flies_and_its_sink_records(package: Path, tmp_path: Path) -> None:
+def test_its_pilot_flies_and_its_sink_records(package, tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", with_package(package)["PYTHONPATH"])
     connect = ("--connect", f"tcp/127.0.0.1:{free_port()}")
     track = tmp_path / "track.csv"
     with ExitStack() as stack:
 
         def join(*arguments: str) -> Any:
-            return stack.enter_context(process(*arguments, env=with_package(package)))
+            return stack.enter_context(started(*arguments))
 
         run = join("simulator", "escort", "--duration", "1", "--listen", connect[1], "--json")
         recorder = join("record", str(track), "--format", "csv", *connect)
