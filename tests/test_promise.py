@@ -120,21 +120,21 @@ def test_changed_link_is_compared_with_the_briefed_bounds() -> None:
     assert world.link_table.of("ugv_0", LinkKind.COMMANDS).delay == 0.4
 
 
-COMMANDS = [
-    LinkSettings(delay=0.3, jitter=0.1),
-    LinkSettings(delay=0.1, jitter=0.05, jitter_shape="exponential", max_jitter=0.2),
-    LinkSettings(delay=0.2, jitter=0.08, jitter_shape="normal", max_jitter=0.2),
-    LinkSettings(delay=0.05, reorder=0.3, reorder_delay=0.1),
-    LinkSettings(delay=0.1, duplicates=0.5),
-    LinkSettings(delay=0.1, bandwidth=7.0, queue=3),
-    LinkSettings(delay=0.1, bandwidth=7.0, queue=3, keep="oldest"),
-    LinkSettings(bandwidth=15.0, queue=4),
+COMMANDS: list[dict[str, Any]] = [
+    {"delay": 0.3, "jitter": 0.1},
+    {"delay": 0.1, "jitter": 0.05, "jitter_shape": "exponential", "max_jitter": 0.2},
+    {"delay": 0.2, "jitter": 0.08, "jitter_shape": "normal", "max_jitter": 0.2},
+    {"delay": 0.05, "reorder": 0.3, "reorder_delay": 0.1},
+    {"delay": 0.1, "duplicates": 0.5},
+    {"delay": 0.1, "bandwidth": 7.0, "queue": 3},
+    {"delay": 0.1, "bandwidth": 7.0, "queue": 3, "keep": "oldest"},
+    {"bandwidth": 15.0, "queue": 4},
 ]
 
 
-@pytest.mark.parametrize("settings", COMMANDS)
-def test_description_of_a_link_matches_its_behaviour(settings: LinkSettings) -> None:
-    ticks = 6_000
+@pytest.mark.parametrize("fields", COMMANDS, ids=str)
+def test_description_of_a_link_matches_its_behaviour(fields: dict[str, Any]) -> None:
+    settings, ticks = LinkSettings(**fields), 6_000
     link, p = OneLink(settings, dt=DT, key=a_key(1)), link_parameters(settings, DT)
     newest, ages, arrived = -1, np.zeros(ticks, dtype=int), np.full(ticks, 999)
     for tick in range(ticks):
@@ -144,19 +144,15 @@ def test_description_of_a_link_matches_its_behaviour(settings: LinkSettings) -> 
             newest = max(newest, sent)
         ages[tick] = tick - newest
     settled = ages[1000:]
-    if not settings.bandwidth:
-        assert settled.min() >= least_ticks(p)
-        if not settings.duplicates:
-            for age in range(12):
-                assert np.mean(arrived[: ticks - 100] <= age) == pytest.approx(
-                    arrival_share(p, age), abs=0.025
-                )
-                exact = arrival_share(p, age) * np.prod(
-                    [1.0 - arrival_share(p, j) for j in range(age)]
-                )
-                assert np.mean(settled == age) == pytest.approx(exact, abs=0.025)
-    else:
+    assert settled.min() >= least_ticks(p)
+    if settings.bandwidth:
         assert settled.min() == least_ticks(p)
+    elif not settings.duplicates:
+        shares = [arrival_share(p, age) for age in range(12)]
+        older = np.cumprod([1.0, *(1.0 - share for share in shares)])
+        for age, share in enumerate(shares):
+            assert np.mean(arrived[: ticks - 100] <= age) == pytest.approx(share, abs=0.025)
+            assert np.mean(settled == age) == pytest.approx(share * older[age], abs=0.025)
 
 
 @pytest.mark.parametrize(
@@ -193,26 +189,24 @@ def test_check_reports_that_nothing_can_be_certified(command) -> None:
     assert "links.commands.delay = 0.3: every command takes 0.3 s or longer" in text
 
 
-def test_random_losses_warn_with_their_share_of_ticks() -> None:
-    (found,) = shortfalls(
-        certified("links.detections.loss=0.5", "certificate.max_measurement_age=0.25")
-    )
-    assert (found.assumption, found.frequency, found.by_chance) == ("A2", Frequency.SOMETIMES, True)
-    assert "too old in 1.56 % of the ticks: sight cannot always be certified with" in found.line
-    lossy = certified("links.commands.loss=0.1", "certificate.max_command_interval=0.2")
-    (found,) = shortfalls(lossy)
-    assert (found.assumption, found.frequency, found.by_chance) == (
-        "A5'",
-        Frequency.SOMETIMES,
-        True,
-    )
-    assert "in 0.01 % of the ticks: sight cannot always be certified with" in found.line
-    assert not shortfalls(
-        certified("links.commands.loss=0.1", "certificate.max_command_interval=1.0")
-    )
-    blackout = certified(
-        "links.commands.blackouts=[[5.0,3.0]]", "certificate.max_command_interval=1.0"
-    )
+@pytest.mark.parametrize(
+    ("link", "bound", "assumption", "phrase"),
+    rows("""
+detections.loss=0.5 | measurement_age=0.25 | A2 | too old in 1.56 % of the ticks
+commands.loss=0.1 | command_interval=0.2 | A5' | in 0.01 % of the ticks
+"""),
+)
+def test_random_losses_warn_with_their_share_of_ticks(link, bound, assumption, phrase) -> None:
+    (found,) = shortfalls(certified(f"links.{link}", f"certificate.max_{bound}"))
+    assert (found.assumption, found.frequency) == (assumption, Frequency.SOMETIMES)
+    assert found.by_chance
+    assert f"{phrase}: sight cannot always be certified with" in found.line
+
+
+def test_longer_command_interval_admits_losses_not_blackouts() -> None:
+    interval = "certificate.max_command_interval=1.0"
+    assert not shortfalls(certified("links.commands.loss=0.1", interval))
+    blackout = certified("links.commands.blackouts=[[5.0,3.0]]", interval)
     assert [fault.frequency for fault in shortfalls(blackout)] == [Frequency.CERTAIN]
 
 
