@@ -60,13 +60,8 @@ def test_a_package_that_breaks_a_rule_is_left_out(monkeypatch, capsys) -> None:
     assert [line.partition("'")[2].partition("'")[0] for line in lines] == ["thief", "spy", "again"]
 
 
-@pytest.fixture
-def _viewers(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_its_parties_have_credentials_and_rows_of_their_base(monkeypatch) -> None:
     monkeypatch.setattr(roles, "extension_roles", lambda: {"view": granting("view/**")})
-
-
-@pytest.mark.usefixtures("_viewers")
-def test_its_parties_have_credentials_and_the_rows_of_their_base() -> None:
     given = new_credentials("run", ["uav_0"], ["ugv_0"], extensions=["view"])
     viewer, node = given.of("viewer").party, given.of("node").party
     assert viewer == VIEWER
@@ -76,18 +71,13 @@ def test_its_parties_have_credentials_and_the_rows_of_their_base() -> None:
             check_reads(UAV_OBSERVATION, party, "uav_0")
     with pytest.raises(AccessDenied):
         check_reads(STATUS, node)
+    for made, wanted in ((given, True), (new_credentials("run", ["uav_0"], ["ugv_0"]), False)):
+        keys = {key for rule in access_control(made)["rules"] for key in rule["key_exprs"]}
+        assert ("view/**" in keys) is wanted
     with refused(ValueError, "two parties have this name"):
         new_credentials("run", ["viewer"], ["ugv_0"], extensions=["view"])
     with refused(ScenarioError, "--roles vew: unknown roles; available: view"):
         new_credentials("run", ["uav_0"], ["ugv_0"], extensions=["vew"])
-
-
-@pytest.mark.usefixtures("_viewers")
-def test_a_run_without_its_parties_lets_nothing_of_it_through() -> None:
-    for extensions, wanted in ((["view"], True), ([], False)):
-        given = new_credentials("run", ["uav_0"], ["ugv_0"], extensions=extensions)
-        keys = {key for rule in access_control(given)["rules"] for key in rule["key_exprs"]}
-        assert ("view/**" in keys) is wanted
 
 
 def test_a_role_that_is_not_installed_is_unknown() -> None:
