@@ -15,7 +15,6 @@ from bus.ticks import looks_of
 from flights import DT, HERE, escort
 from outrider.running.flying import InProcess, fly, make_pilots
 from sim.engine.monitor import NEVER
-from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, LinkTable, Scenario, Uav, Ugv
 from sim.server import recorder
 from sim.server.flight import Flight
@@ -58,9 +57,8 @@ def test_the_hash_is_the_documented_one(flight: Flight) -> None:
     assert flight.recorder.sha256(ticks=10**9) == flight.recorder.sha256()
 
 
-def test_long_flight_grows_the_arrays_unchanged(
-    flight: Flight, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_long_flight_grows_the_arrays_unchanged(flight: Flight, monkeypatch) -> None:
+    """A full disk: tests/test_row_store.py."""
     monkeypatch.setattr(recorder, "_ROOM", 100)
     longer = fly(wobbling(), 6)[0].recorder
     np.testing.assert_array_equal(longer.states, flight.recorder.states)
@@ -126,21 +124,3 @@ def test_the_file_gives_back_every_number_exactly(flight: Flight, tmp_path: Path
     assert header[:4] == ["tick", "time [s]", "uav_0.x [m]", "uav_0.y [m]"]
     assert all(" [" in name for name in header[1:] if name != "uav_0.certified")
     assert "nan" not in (tmp_path / "trajectory.csv").read_text(encoding="utf-8")
-
-
-def test_rows_of_a_long_flight_stay_the_same_in_a_file(monkeypatch) -> None:
-    """Store 7 rows at a time instead of thousands, with and without a file."""
-    hashes = set()
-    for room, full in ((100_000, False), (7, False), (7, True)):
-        with monkeypatch.context() as patched:
-            patched.setattr("sim.server.recorder._ROOM", room)
-            if full:
-                patched.setattr("os.posix_fallocate", full_disk)
-            flight, summary = fly(load_scenario("escort", overrides=["duration=5.0"]), 3)
-        hashes.add(summary.trajectory_sha256)
-        assert flight.recorder.states.shape[0] == 101
-    assert len(hashes) == 1
-
-
-def full_disk(*_: object) -> None:
-    raise OSError(28, "No space left on device")

@@ -21,7 +21,7 @@ from bus.messages.control import Action, Change, Control
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Law
 from bus.messages.telemetry import Truth
-from bus.messages.vehicle import Teleoperation, UgvObservation
+from bus.messages.vehicle import Teleoperation
 from observed import Observer
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.reader import entries, flight_of, load
@@ -55,13 +55,11 @@ def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, 
     flight, truths = Flight(scenario, 3), list[Truth]()
 
     def follow() -> None:
-        silent = flight.world.tick % 5 == 0
         shown = flight.truth()
-        if silent:
-            shown = replace(
-                shown, escorts=tuple(replace(one, report=None) for one in shown.escorts)
-            )
-        truths.append(shown)
+        reported = shown.escorts
+        if flight.world.tick % 5 == 0:
+            reported = tuple(replace(one, report=None) for one in reported)
+        truths.append(replace(shown, escorts=reported))
 
     follow()
     flight.fly(InProcess(make_pilots(scenario, 3)), on_tick=follow)
@@ -101,39 +99,32 @@ ACTIONS = {
 class Operated(InProcess):
     """Operators that act at their ticks, as listed above."""
 
-    def __init__(self, flight: Flight, actions: dict[int, Any]) -> None:
+    def __init__(self, flight: Flight) -> None:
         super().__init__(make_pilots(flight.scenario, flight.seed))
-        self._flight, self._actions = flight, actions
-        self.received: list[UgvObservation] = []
+        self._flight = flight
+        self.received: list[Teleoperation] = []
 
     def begin(self, tick: int) -> None:
-        for what, *arguments in self._actions.get(tick, ()):
+        for what, *arguments in ACTIONS.get(tick, ()):
             getattr(self._flight, what)(*arguments)
 
     def publish(self, observations: Any) -> None:
-        self.received.append(observations["ugv_0"])
+        self.received += observations["ugv_0"].operator
         super().publish(observations)
 
 
-def _fly(path, scenario, actions=None):
-    recorder, flight = FlightRecorder(path, scenario, 3), Flight(scenario, 3)
-    exchange = Operated(flight, actions or {})
+def test_operator_messages_and_changes_are_recorded_with_ticks(tmp_path: Path) -> None:
+    path, flight = tmp_path / "run.mcap", Flight(ONE, 3)
+    recorder, exchange = FlightRecorder(path, ONE, 3), Operated(flight)
     flight.fly(exchange, on_tick=lambda: recorder.tick(flight))
     recorder.close()
-    return flight, exchange.received
-
-
-def test_operator_messages_and_changes_are_recorded_with_ticks(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    flight, received = _fly(path, ONE, ACTIONS)
-    commands = [command for seen in received for command in seen.operator]
     recording = flight_of(path)
     assert [word.tick for _, word in recording.operator_commands] == [0, 9, 9, 41]
     assert {ugv for ugv, _ in recording.operator_commands} == {"ugv_0"}
     assert [
         Teleoperation(operator=w.operator, velocity=w.velocity, goal=w.goal)
         for _, w in recording.operator_commands
-    ] == commands
+    ] == exchange.received
     radio = {"link": LinkKind.RADIO, "vehicle": "uav_0", "settings": LinkSettings(loss=0.5)}
     assert recording.changes == [
         Change(tick=7, control=Control(action=Action.DRIVER, vehicle="ugv_0", driver="teleop")),
