@@ -3,13 +3,14 @@
 import json
 from pathlib import Path
 from typing import Any
+from unittest.mock import create_autospec
 
 import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bus.errors import ScenarioError
+from bus.errors import BusError, ScenarioError
 from bus.profiles import PROFILES
 from outrider.running import launch
 from outrider.running.parent import Start
@@ -92,32 +93,38 @@ def test_every_vehicle_can_be_changed_at_once() -> None:
         load_scenario("minefield", overrides=["uav=[]", "uav.*.max_speed=0.5"])
 
 
-def test_a_run_leaves_a_file_that_flies_the_same_run_again(tmp_path: Path, command: Any) -> None:
-    out, changes = tmp_path / "first", ("--set", "detections.noise=0.1", "--law", "switching")
-    options = ("--duration", "2", "--seed", "5", "--network", "wifi-poor", "--no-picture")
+def test_a_run_leaves_a_file_that_flies_the_same_run_again(here: Path, command: Any) -> None:
+    """The user's own function flies in the vehicle's process."""
+    (here / "mine.py").write_text(
+        "def careful(distance, r_s):\n    share = min(distance / r_s, 1.0)\n    return share, 1.0 - share\n",
+        encoding="utf-8",
+    )
+    own = ("--set", "detections.noise=0.1", "--set", "custom.weighting=mine:careful")
+    options = ("--law", "weighted", "--duration", "2", "--seed", "5", "--network", "wifi-poor")
+    again = ("--in-process", "--allow-code", "--no-files", "--json")
     flown = [
-        command("run", "escort", *changes, *options, "--out", out, "--json"),
-        command("run", out / "scenario.toml", "--in-process", "--no-files", "--json"),
+        command("run", "escort", *own, *options, "--no-picture", "--out", "first", "--json"),
+        command("run", "first/scenario.toml", *again),
     ]
+    assert [run.returncode for run in flown] == [0, 0], flown[-1].stderr
     hashes = {json.loads(run.stdout)["trajectory_sha256"] for run in flown}
     assert len(hashes) == 1
-    assert (out / "scenario.toml").read_text(encoding="utf-8").count("switching") == 1
 
 
 def test_the_simulator_alone_reads_the_scenario(monkeypatch: pytest.MonkeyPatch) -> None:
     """A vehicle receives endpoint, credential and its own code; goals and seed reach no other process."""
-    started_with: dict[str, tuple[list[str], Start]] = {}
-    child = launch.Child
+    child, started_with = launch.Child, dict[str, tuple[list[str], Start]]()
 
-    def recorded_child(
-        name: str, arguments: list[str], start: Start, **settings: Any
-    ) -> launch.Child:
+    def recorded_child(name: str, arguments: list[str], start: Start, **_: Any) -> launch.Child:
         started_with[name] = (arguments, start)
-        return child(name, arguments, start, **settings)
+        if name == "ugv_0":
+            raise BusError("all have been started")
+        return create_autospec(child, instance=True)
 
     monkeypatch.setattr(launch, "Child", recorded_child)
     code = msgspec.structs.replace(SHORT.custom, weighting="mine:weighting", policy="mine:policy")
-    assert launched(scenario=msgspec.structs.replace(SHORT, custom=code)).summary is None
+    with pytest.raises(BusError, match="all have been started"):
+        launched(scenario=msgspec.structs.replace(SHORT, custom=code))
     (file,) = (word for word in started_with["simulator"][0] if word.endswith(".toml"))
     for name, own in (("uav_0", "weighting"), ("ugv_0", "policy")):
         arguments, start = started_with[name]
