@@ -7,13 +7,18 @@ import signal
 import socket
 import subprocess
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import msgspec
 import pytest
 
+from agents import process
+from agents.uav import UavPilot
+from bus.errors import PeerLost
+from bus.keys import BRIEFING, Role
 from bus.messages.telemetry import Status
 from outrider import style
 from outrider.cli import scenarios
@@ -21,17 +26,21 @@ from outrider.running import launch
 from outrider.running.flying import fly
 from processes import (
     SHORT,
+    SILENT,
     alive,
     await_status,
     child_of,
     flying,
     launched,
     observing,
-    python,
+    wait_until,
 )
+from refusals import refused
 from scattered import SECONDS, SECRET, scattered
+from sim.engine.briefing import uav_briefing
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Run
+from staging import GIVEN, client_of, hosted
 from tabular import words
 
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
@@ -50,14 +59,6 @@ def finished(run: "subprocess.Popen[str]", seconds: float = 90.0) -> tuple[dict[
     out, err = run.communicate(timeout=seconds)
     assert run.returncode == 0, err
     return json.loads(out), err
-
-
-def ended(vehicle: "subprocess.Popen[str]", why: str) -> None:
-    """Wait until a vehicle's process has ended by itself, with one line as the reason."""
-    _, err = vehicle.communicate(timeout=60)
-    assert vehicle.returncode == 1
-    assert why in err
-    assert len(err.strip().splitlines()) == 1
 
 
 def test_respawn_after_a_kill_and_a_freeze_changes_no_bit() -> None:
@@ -103,48 +104,35 @@ def test_absent_vehicle_brakes_in_real_time_and_resumes():
     assert summary["realtime"] == 20.0
 
 
-def test_repeatedly_failing_vehicle_is_not_restarted_forever(tmp_path: Path) -> None:
-    (tmp_path / "deadly.py").write_text(
-        "import os\n\ndef weighting(distance, r_s):\n"
-        "    if 'OUTRIDER_DIES' in os.environ and distance > 2.0 and distance < r_s:\n        os._exit(3)\n"
-        "    return (1.0, 0.0) if distance >= r_s else (0.5, 0.5)\n",
-        encoding="utf-8",
-    )
-    code = (
-        "import sys\nfrom outrider.cli import main\nimport outrider.running.user_code as own\n"
-        "own.check_own_functions = lambda scenario: ()\nsys.argv[0] = 'outrider'\nmain.main()\n"
-    )
-    arguments = words(
-        "run --law weighted --set custom.weighting=deadly:weighting --respawn --no-files --json"
-    )
-    settings = {"cwd": tmp_path, "env": os.environ | {"OUTRIDER_DIES": "1"}, "timeout": 150}
-    run = python(code, *arguments, check=False, **settings)
-    assert run.returncode == 1
-    assert "uav_0 (pid" in run.stderr
-    assert "ended with exit code 3" in run.stderr
-    assert "is not restarted" in run.stderr
-    assert "did not reconnect" not in run.stderr  # the run ends at once and does not wait
-    assert json.loads(run.stdout)["complete"] is False
+def test_failing_vehicle_is_restarted_but_not_forever(monkeypatch) -> None:
+    """Processes that are killed before they have loaded Python, and a UAV that fails again and again in flight."""
+    started: list[launch.Child] = []
+    fails: set[str] = set()
 
-
-def test_a_vehicle_killed_before_the_first_tick_is_started_again(monkeypatch):
     class Doomed(launch.Child):
-        started: ClassVar[list[str]] = []
-
         def __init__(self, name: str, *arguments: Any, **named: Any) -> None:
             super().__init__(name, *arguments, **named)
-            if name != "simulator" and name not in self.started:
-                self.kill()  # before it has loaded Python
-            self.started.append(name)
+            started.append(self)
+            if len(started) in (2, 3) or name in fails:
+                self.kill()
+
+    def on_tick(tick: int) -> None:
+        if tick > 0 and not fails:
+            fails.add("uav_0")
+            next(child for child in reversed(started) if child.name == "uav_0").kill()
 
     monkeypatch.setattr(launch, "Child", Doomed)
-    scenario = msgspec.structs.replace(SHORT, run=Run(respawn=True))
-    outcome = launched(scenario=scenario)
+    long = msgspec.structs.replace(SHORT, duration=1000.0, run=Run(respawn=True))
+    outcome = launched(msgspec.structs.replace(SILENT, on_tick=on_tick), scenario=long)
+    names = [child.name for child in started]
+    assert names[:5] == words("simulator uav_0 ugv_0 uav_0 ugv_0")
+    assert set(names[5:]) == {"uav_0"}
+    assert outcome.fault.startswith("uav_0 (pid")
+    assert "so it is not restarted" in outcome.fault
     assert outcome.summary is not None
-    flown = fly(SHORT, SHORT.seed)[1].trajectory_sha256
-    assert outcome.summary.trajectory_sha256 == flown
-    assert not outcome.fault
-    assert Doomed.started == ["simulator", "uav_0", "ugv_0", "uav_0", "ugv_0"]
+    assert not outcome.summary.complete  # the run ends at once and does not wait
+    flown = msgspec.structs.replace(SHORT, duration=outcome.summary.ticks * SHORT.dt)
+    assert outcome.summary.trajectory_sha256 == fly(flown, SHORT.seed)[1].trajectory_sha256
 
 
 def test_simulator_and_router_that_return_change_no_bit(tmp_path: Path) -> None:
@@ -182,19 +170,24 @@ def test_lost_router_ends_every_process_with_a_reason(tmp_path: Path) -> None:
         assert "Traceback" not in err
         assert json.loads(out)["ticks"] > 100  # the flown part is kept
         for vehicle in vehicles:
-            ended(vehicle, "the router has been absent for 5 s")
+            _, err = vehicle.communicate(timeout=60)
+            assert vehicle.returncode == 1
+            (line,) = err.strip().splitlines()
+            assert "the router has been absent for 5 s" in line
 
 
-def test_lost_simulator_ends_vehicles_with_a_reason(tmp_path: Path) -> None:
-    with scattered(tmp_path) as run:
-        run.router()
-        simulator = run.simulator()
-        run.await_simulator()
-        vehicles = run.vehicles("--join-timeout", "2")
-        run.fly_to(100)
-        simulator.kill()
-        for vehicle in vehicles:
-            ended(vehicle, "the simulator has been absent for 2 s")
+def test_lost_simulator_ends_a_vehicle_with_a_reason(endpoint: str) -> None:
+    vehicle = GIVEN.of("uav_0")
+    settings = {"connect": endpoint, "run": "run", "credential": vehicle, "join_timeout": 2.0}
+    with hosted(endpoint, name="observer"), ThreadPoolExecutor(1) as threads:
+        with client_of(endpoint, GIVEN.of("simulator")) as simulator:
+            briefings = simulator.outbox(BRIEFING[Role.UAV], "uav_0")
+            simulator.announce()
+            flown = threads.submit(process.fly, vehicle.party, UavPilot, **settings)
+            wait_until(lambda: briefings.wanted)
+            briefings.send(uav_briefing(SHORT, "uav_0", 7))
+        with refused(PeerLost, "the simulator has been absent for 2 s"):
+            flown.result(60.0)
 
 
 def test_a_port_in_use_is_named(command) -> None:

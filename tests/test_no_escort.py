@@ -30,12 +30,12 @@ from outrider.view.film import Film
 from outrider.view.flight_picture import flight_figure
 from outrider.view.terminal.teleoperation import DriveView
 from outrider.view.terminal.topview import Trails, draw
-from processes import flown_both_ways
 from sim.scenario.checks import check_scenario
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario, Wind
 from sim.scene.known import geometry_of
 from sim.server.flight import Flight
+from tabular import words
 
 
 @functools.cache
@@ -51,12 +51,13 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight, Summa
     return path, flight, summarize(flight, seconds=1.0)
 
 
-def test_ugv_alone_flies_alike_in_run_and_environment(flown) -> None:
-    _, flight, summary = flown
+def test_ugv_alone_flies_alike_in_run_replay_and_env(flown) -> None:
+    path, flight, summary = flown
     env = outrider.parallel_env(alone())
     observations, _ = env.reset(seed=4)
     assert sha256(record(env, pilots(env), observations)) == summary.trajectory_sha256
     assert flight.world.position[0].tolist() != list(alone().ugv[0].position)
+    assert refly(flight_of(path)).trajectory_sha256 == summary.trajectory_sha256
 
 
 def test_ugv_alone_drives_like_one_with_a_silent_uav() -> None:
@@ -75,16 +76,12 @@ def test_ugv_alone_flies_alike_in_a_batch(flown) -> None:
     assert np.array_equal(loop.state.batch.vehicles["position"][1], flight.world.position)
 
 
-def test_two_processes_and_one_drive_the_same_bits() -> None:
-    there, _ = flown_both_ways("minefield", "uav=[]", "duration=10.0")
-    assert [process["name"] for process in there["processes"]] == ["simulator", "ugv_0"]
-
-
 def test_the_summary_says_nothing_of_an_escort(flown, capsys) -> None:
     _, _, summary = flown
     fields = json.loads(msgspec.json.encode(summary))
-    escort = ("law", "max_distance", "mean_distance", "switching_radius", "initial_error")
-    escort += ("mean_error", "final_error", "estimate_rmse", "detection_rmse", "certified_share")
+    escort = words("""
+        law max_distance mean_distance switching_radius initial_error
+        mean_error final_error estimate_rmse detection_rmse certified_share""")
     assert {name: fields[name] for name in escort} == dict.fromkeys(escort)
     assert fields["visibility_violations"] == fields["crossings"] == fields["detections"] == 0
     assert fields["mission"]["hazards_hit"] == 0
@@ -111,11 +108,6 @@ def test_every_view_shows_a_ugv_alone(flown) -> None:
     env = outrider.parallel_env(alone(), render_mode="rgb_array")
     env.reset(seed=4)
     assert env.render() is not None
-
-
-def test_recording_of_a_ugv_alone_replays_to_the_same_bits(flown) -> None:
-    path, _, summary = flown
-    assert refly(flight_of(path)).trajectory_sha256 == summary.trajectory_sha256
 
 
 def test_ugvs_alone_are_the_agents_of_every_environment() -> None:
