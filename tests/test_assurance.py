@@ -2,15 +2,13 @@
 
 import csv
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from agents.process import Pilot
 from agents.uav import UavPilot
@@ -18,7 +16,6 @@ from bus.messages.decision import FilterDecision, NotCertified, Source
 from bus.messages.scenario import Law
 from bus.messages.vehicle import UavCommand, UavObservation, UavReport
 from flights import R_V, Piloted, altered, escort
-from outrider.cli import replay
 from outrider.cli.console import OUT, print_summary
 from outrider.experiments.sweep.columns import row_of
 from outrider.running.flying import make_pilots
@@ -29,9 +26,10 @@ from sim.engine.monitor import NEVER, ArrivalRecord
 from sim.engine.world_state import Vehicle
 from sim.models.motion import NO_MOTION, no_motions
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Certificate, LinkTable, Scenario
+from sim.scenario.types import Certificate, LinkTable, Scenario, Ugv
 from sim.server.assurance import Assurance
 from sim.server.flight import Flight
+from tabular import words
 
 DELAYED = load_scenario(
     "escort",
@@ -45,21 +43,13 @@ DELAYED = load_scenario(
 """Commands act two ticks late, and the newest detection is at most ten ticks old."""
 
 
-def report_of(certified: bool | None, *, distance: float = 1.0) -> UavReport:
-    decision = None
-    if certified is not None:
-        decision = FilterDecision(
-            acceleration=(0.0, 0.0),
-            source=Source.NOMINAL,
-            reason=None if certified else NotCertified.NO_PLAN,
-            certified_distance=distance,
-        )
+def report_of(certified: bool, *, distance: float = 1.0) -> UavReport:
+    reason = None if certified else NotCertified.NO_PLAN
+    decision = FilterDecision(
+        acceleration=(0.0, 0.0), source=Source.NOMINAL, reason=reason, certified_distance=distance
+    )
     return UavReport(
-        estimate=(1.0, 2.0),
-        covariance=(1.0, 0.0, 1.0),
-        age=0.0,
-        rejected=0,
-        decision=decision,
+        estimate=(1.0, 2.0), covariance=(1.0, 0.0, 1.0), age=0.0, rejected=0, decision=decision
     )
 
 
@@ -71,47 +61,54 @@ def assurance_after(*claims: bool | None, at: float = 1.0) -> Assurance:
     return assurance
 
 
-def record_tick(assurance: Assurance, tick: int, certified: bool | None, **given: Any) -> None:
-    """Record a tick with this claim; `answers` is false without a command, `current` false for a report of the previous
-    tick.
+def record_tick(
+    assurance: Assurance,
+    tick: int,
+    certified: bool | None,
+    *,
+    distance: float = 1.0,
+    arrivals: Sequence[tuple[int, float]] | None = None,
+    flown: int | None = None,
+    bare: bool = False,
+    current: bool = True,
+    answers: bool = True,
+    off: float = 0.0,
+    excused: bool = False,
+    watched: bool = True,
+) -> None:
+    """Record a tick with this claim.
 
-    `off` is the tracking error before it [m]; `excused` means that the filter restarts.
+    Args:
+        assurance, tick, certified: The counters, the tick, and its claim; None: no report.
+        distance: Distance to the UGV [m].
+        arrivals: Tick and error [m] of each arriving detection; None: one of this tick.
+        flown: First tick of the active trajectory; None: this tick.
+        bare: True if a bare acceleration acts.
+        current: False if the report is of the previous tick.
+        answers: False if there is no command.
+        off: Tracking error before the tick [m].
+        excused: True if the filter restarts.
+        watched: True if the law has a filter.
     """
-    truth = {
-        "distance": 1.0,
-        "arrivals": [(tick, 0.3)],
-        "flown": tick,
-        "bare": False,
-        "current": True,
-        "answers": True,
-        "off": 0.0,
-        "excused": False,
-        "watched": True,
-    } | given
-    if truth["off"]:
-        assurance.track(0, truth["off"])
-    if truth["excused"]:
+    if off:
+        assurance.track(0, off)
+    if excused:
         assurance.excuse(0)
+    seen = [(tick, 0.3)] if arrivals is None else arrivals
+    evidence = (
+        np.zeros(1, record_type(ArrivalRecord)),
+        np.zeros(2, record_type(Vehicle)),
+        no_motions(2),
+    )
+    evidence[0]["newest"] = max((taken for taken, _ in seen), default=NEVER)
+    evidence[0]["error"] = max((error for _, error in seen), default=0.0)
+    evidence[1]["command_tick"] = tick
+    evidence[2]["begins"], evidence[2]["plain"] = tick if flown is None else flown, bare
     report = None if certified is None else report_of(certified)
-    answered = tick if truth["current"] else tick - 1
-    arrivals, flown = np.zeros(1, record_type(ArrivalRecord)), no_motions(2)
-    arrivals["newest"] = max(
-        (assurance_after for assurance_after, _ in truth["arrivals"]), default=NEVER
-    )
-    arrivals["error"] = max((error for _, error in truth["arrivals"]), default=0.0)
-    vehicles = np.zeros(2, record_type(Vehicle))
-    flown["begins"], flown["plain"] = truth["flown"], truth["bare"]
-    vehicles["command_tick"] = tick
-    assurance.record(
-        0,
-        tick,
-        UavCommand(tick=answered, acceleration=(0.0, 0.0), report=report)
-        if truth["answers"]
-        else None,
-        evidence=(arrivals, vehicles, flown),
-        lost=truth["distance"] >= R_V,
-        watched=truth["watched"],
-    )
+    answered = tick if current else tick - 1
+    command = UavCommand(tick=answered, acceleration=(0.0, 0.0), report=report) if answers else None
+    lost = distance >= R_V
+    assurance.record(0, tick, command, evidence=evidence, lost=lost, watched=watched)
 
 
 def test_a_tick_that_is_certified_out_of_sight_is_counted() -> None:
@@ -207,17 +204,15 @@ def test_certificate_ends_only_where_an_assumption_fails(broken, truths, declara
     assert assurance.certificate_broken == broken
 
 
-def test_filter_started_in_flight_ignores_earlier_detections() -> None:
+def test_filter_started_in_flight_is_a_new_one() -> None:
+    """It inherits neither detections nor a certificate."""
     assurance = Assurance(DELAYED)
     record_tick(assurance, 0, True, arrivals=[(0, 9.0)])
     for tick in range(10, 20):  # the law was not watched in between
         record_tick(assurance, tick, tick < 15)
     assert assurance.certificate_broken == 1
-
-
-def test_filter_started_in_flight_inherits_no_certificate() -> None:
     assurance = assurance_after(True, True)
-    for tick in range(10, 14):  # the law was not watched in between
+    for tick in range(10, 14):
         record_tick(assurance, tick, tick > 11)
     assert assurance.certificate_broken == 0
     assurance = assurance_after(True, True)
@@ -256,18 +251,16 @@ def lying(pilots: Mapping[str, Pilot]) -> Piloted:
     return altered(pilots, "uav_0", lambda seen: {"report": lie if seen.tick != 7 else None})
 
 
+AREA, DETECTIONS = escort().area, escort().links.detections
 LOSING = escort(
-    "certified", duration=40.0, area=msgspec.structs.replace(escort().area, cell=0.5), name="losing"
-)
-LOSING = msgspec.structs.replace(
-    LOSING,
-    certificate=Certificate(
-        max_measurement_age=60.0
-    ),  # nothing can be certified, and no detection arrives after 5 s
-    links=LinkTable(
-        detections=msgspec.structs.replace(LOSING.links.detections, blackouts=((5.0, 60.0),))
-    ),
-    ugv=(msgspec.structs.replace(LOSING.ugv[0], position=(21.0, 20.0), goals=((39.0, 20.0),)),),
+    "certified",
+    name="losing",
+    duration=40.0,
+    area=msgspec.structs.replace(AREA, cell=0.5),
+    # nothing can be certified, and no detection arrives after 5 s
+    certificate=Certificate(max_measurement_age=60.0),
+    links=LinkTable(detections=msgspec.structs.replace(DETECTIONS, blackouts=((5.0, 60.0),))),
+    ugv=Ugv(position=(21.0, 20.0), goals=((39.0, 20.0),)),
 )
 
 
@@ -333,16 +326,12 @@ def test_trajectory_file_states_the_certificate_of_each_tick(lied, tmp_path):
     # no report at tick 7, none after the last tick
     assert claims == ["1"] * 7 + [""] + ["1"] * (LOSING.ticks - 8) + [""]
     assert {row["uav_0.certified_distance [m]"] for row in rows} == {"0.5", ""}
-    lies = [
-        row
-        for row in rows
-        if row["uav_0.certified"] == "1" and float(row["uav_0.distance [m]"]) >= R_V
-    ]
+    claimed = [float(row["uav_0.distance [m]"]) for row in rows if row["uav_0.certified"] == "1"]
     # also the last state, after a certified tick
-    assert len(lies) + 1 == summary.certified_while_lost
+    assert sum(d >= R_V for d in claimed) + 1 == summary.certified_while_lost
 
 
-def test_recording_has_the_same_counts_and_each_ticks_claim(lied):
+def test_recording_has_the_same_counts_and_each_ticks_claim(lied, command):
     from outrider.recording.reader import flight_of
 
     _, summary, path = lied
@@ -352,43 +341,26 @@ def test_recording_has_the_same_counts_and_each_ticks_claim(lied):
         tick != 7 for tick in range(LOSING.ticks)
     ]
     assert {report.decision.certified_distance for report in reports if report is not None} == {0.5}
-    lies = [
-        t.escorts[0].distance >= R_V
-        for t, report in zip(truths, reports, strict=False)
-        if report is not None
-    ]
-    assert sum(lies) + 1 == summary.certified_while_lost  # also the last state
-    app = typer.Typer()
-    app.command()(replay.command)
-    for arguments in ((str(path), "--json"), (str(path), "--refly", "--json")):
-        printed = json.loads(CliRunner().invoke(app, arguments).stdout)
-        for field in (
-            "certified_share",
-            "overridden_share",
-            "uncertified",
-            "certified_while_lost",
-            "certificate_broken",
-        ):
-            assert printed[field] == getattr(summary, field), (arguments, field)
+    claimed = [t.escorts[0].distance for t, report in zip(truths, reports, strict=False) if report]
+    assert sum(d >= R_V for d in claimed) + 1 == summary.certified_while_lost  # and the last state
+    names = words(
+        "certified_share overridden_share uncertified certified_while_lost certificate_broken"
+    )
+    for option in ((), ("--refly",)):
+        printed = json.loads(command("replay", path, *option, "--json").stdout)
+        assert [printed[name] for name in names] == [getattr(summary, name) for name in names]
 
 
-def test_summary_table_lists_certificate_faults_only(lied):
-    _, summary, _ = lied
-    broken = msgspec.structs.replace(summary, certified_while_lost=0, certificate_broken=3)
-    clean = msgspec.structs.replace(summary, certified_while_lost=0)
-    for shown, lines in (
-        (summary, {"certified while lost"}),
-        (broken, {"certificate broken"}),
-        (clean, set()),
-    ):
-        with OUT.capture() as captured:
-            print_summary(shown, [])
-        assert {
-            line
-            for line in ("certified while lost", "certificate broken")
-            if line in captured.get()
-        } == lines
-    assert "wrong" not in captured.get()
+@pytest.mark.parametrize(
+    ("lost", "broken", "lines"),
+    [(1, 0, {"certified while lost"}), (0, 3, {"certificate broken"}), (0, 0, set())],
+)
+def test_summary_table_lists_certificate_faults_only(lied, lost, broken, lines):
+    counts = {"certified_while_lost": lost, "certificate_broken": broken}
+    with OUT.capture() as captured:
+        print_summary(msgspec.structs.replace(lied[1], **counts), [])
+    faults = {"certified while lost", "certificate broken"}
+    assert {line for line in faults if line in captured.get()} == lines
 
 
 def interrupted_claims(scenario: Scenario) -> Piloted:
