@@ -1,19 +1,15 @@
 """Recordings: exact, complete up to the last half second after a kill, flown again to the same bits, drawn."""
 
-import hashlib
 import json
 import math
 import signal
 import struct
 import subprocess
 import sys
-import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from importlib import import_module
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -59,13 +55,13 @@ from outrider.recording.schemas import (
     head_of,
     inlined_schema,
     read_head,
-    scenario_in,
 )
 from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import summarize
-from sim.scenario.types import Detections, Uav, Ugv
+from sim.scenario.types import Detections, Scenario, Uav, Ugv
 from sim.server.flight import Flight
+from tabular import words
 
 SCENARIO = escort(
     "logarithmic",
@@ -120,13 +116,7 @@ def test_closed_file_has_every_message_in_time_order(flown):
     assert len(found["/coverage"]) == len(found["/grid"]) >= SCENARIO.duration
     with path.open("rb") as file:
         times = [message.log_time for _, _, message in make_reader(file).iter_messages()]
-        file.seek(0)
-        summary = make_reader(file).get_summary()
     assert times == sorted(times)
-    assert summary is not None
-    for schema in summary.schemas.values():
-        assert schema.encoding in {"jsonschema", "protobuf"}
-        assert b"$ref" not in schema.data or schema.encoding == "protobuf"
     written = [entry.time for entry in entries(path)]
     assert written == sorted(written)
     assert len(written) == len(times)
@@ -135,9 +125,7 @@ def test_closed_file_has_every_message_in_time_order(flown):
 def test_every_float_comes_back_exactly(flown: tuple[Path, Flight]) -> None:
     path, flight = flown
     states, escorts = flight.recorder.states, flight.recorder.escorts
-    digest = hashlib.sha256()
-    rows = flight_of(path).truths
-    for k, truth in enumerate(rows):
+    for k, truth in enumerate(flight_of(path).truths):
         assert truth.tick == k
         assert truth.time == k * SCENARIO.dt
         for n, name in enumerate(flight.world.names):
@@ -152,19 +140,26 @@ def test_every_float_comes_back_exactly(flown: tuple[Path, Flight]) -> None:
         assert seen.detection is None or seen.detection == tuple(escorts[k, 0, 2:4])
         assert (seen.report is None) == (k == 0)
         assert seen.report is None or seen.report.estimate == tuple(escorts[k - 1, 0, 4:6])
-    for before, after in pairwise(rows):
-        for name in flight.world.names:
-            now = before.vehicles[name]
-            numbers = (*now.position, *now.velocity, *after.vehicles[name].acceleration)
-            digest.update(struct.pack("<6d", *(number + 0.0 for number in numbers)))
-    assert digest.hexdigest() == flight.recorder.sha256()
 
 
-@pytest.mark.parametrize("name", ["lost commands", "wind"])
-def test_motions_and_wind_are_flown_again_and_restored(name: str, tmp_path: Path) -> None:
-    scenario = msgspec.structs.replace(SCENARIOS[name], name="small", duration=10.0)
+UNBOUNDED = escort(
+    Law(name="tracking"),
+    uav=Uav(position=HERE, max_speed=math.inf, max_acceleration=math.inf),
+    ugv=Ugv(position=(20.0, 21.0), goals=((26.0, 21.0),)),
+    duration=2.0,
+)
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [SCENARIOS["lost commands"], SCENARIOS["wind"], UNBOUNDED],
+    ids=words("trajectories wind infinity"),
+)
+def test_any_scenario_is_flown_again_and_restored(scenario: Scenario, tmp_path: Path) -> None:
+    """Trajectories, wind, and infinite bounds."""
     flight = recorded(tmp_path / "run.mcap", scenario, SEED)
     recording = flight_of(tmp_path / "run.mcap")
+    assert recording.scenario == scenario
     found = refly(recording)
     assert (found.difference, found.note, found.ticks) == (None, "", flight.recorder.ticks)
     assert found.trajectory_sha256 == found.recorded_sha256 == flight.recorder.sha256()
@@ -193,15 +188,22 @@ def test_a_command_is_what_was_asked_for_before_the_bounds(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(("tick", "vehicle"), [(0, "uav_0"), (300, "ugv_0"), (799, "uav_0")])
-def test_a_changed_command_is_found_at_its_tick(flown, tick, vehicle):
-    recording = flight_of(flown[0])
+def test_a_changed_command_is_found_at_its_tick(flown, tick, vehicle, tmp_path, command):
+    recording, file = flight_of(flown[0]), RecordingFile(tmp_path / "other.mcap")
     asked = recording.commands[tick]
     changed = {**asked.accelerations, vehicle: (asked.accelerations[vehicle][0] * 0.5 + 1e-9, 0.0)}
     recording.commands[tick] = msgspec.structs.replace(asked, accelerations=changed)
-    found = refly(recording)
-    assert found.difference is not None
-    assert (found.difference.tick, found.difference.vehicle) == (tick + 1, vehicle)
-    assert found.trajectory_sha256 != found.recorded_sha256 == flown[1].recorder.sha256()
+    file.begin(recording.head, recording.scenario)
+    for truth in recording.truths:
+        file.take(TRUTH, truth, truth.time)
+        if truth.tick in recording.commands:
+            file.take(COMMANDS, recording.commands[truth.tick], truth.time)
+    file.close()
+    found = command("replay", tmp_path / "other.mcap", "--refly", "--json")
+    assert found.returncode == 1
+    output = json.loads(found.stdout)
+    assert output["same"] is False
+    assert (output["difference"]["tick"], output["difference"]["vehicle"]) == (tick + 1, vehicle)
 
 
 def test_the_restored_flight_sums_up_like_the_live_one(flown: tuple[Path, Flight]) -> None:
@@ -212,27 +214,6 @@ def test_the_restored_flight_sums_up_like_the_live_one(flown: tuple[Path, Flight
     summary = msgspec.structs.replace(summarize(restored, seconds=1.0), links=recording.links)
     assert summary == summarize(flight, seconds=1.0)
     assert (restored.world.coverage == flight.world.coverage).all()
-
-
-def test_infinite_bounds_survive(tmp_path: Path) -> None:
-    scenario = escort(
-        Law(name="tracking"),
-        uav=Uav(position=HERE, max_speed=math.inf, max_acceleration=math.inf),
-        ugv=Ugv(position=(20.0, 21.0), goals=((26.0, 21.0),)),
-        duration=2.0,
-    )
-    flight = recorded(tmp_path / "run.mcap", scenario, SEED)
-    recording = flight_of(tmp_path / "run.mcap")
-    assert recording.scenario == scenario
-    assert set(recording.head.infinite) == {"uav.0.max_speed", "uav.0.max_acceleration"}
-    assert refly(recording).trajectory_sha256 == flight.recorder.sha256()
-
-
-def test_the_scenario_comes_back_whole(flown: tuple[Path, Flight]) -> None:
-    recording = flight_of(flown[0])
-    assert recording.scenario == SCENARIO
-    assert recording.head.seed == SEED
-    assert scenario_in(head_of(SCENARIO, 1), file="x") == SCENARIO
 
 
 def test_the_map_is_the_ground(flown: tuple[Path, Flight]) -> None:
@@ -262,29 +243,28 @@ def test_status_and_log_describe_the_run(tmp_path: Path) -> None:
     flight, _ = fly(blind, 0, on_tick=follow)
     recorder.close()
     messages = list(statuses(path))
-    assert messages[-1].over
-    assert not messages[0].over
+    assert (messages[0].over, messages[-1].over) == (False, True)
     assert messages[-1].tick == flight.recorder.ticks
+    lost = flight.recorder.escorts[:, 0, 0] >= blind.visibility.radius
+    assert lost.any()
+    events = (b"everybody is here", 1), (b"somebody coughed", 100), (b"lost sight", lost.argmax())
     log = plain(path)["/log"]
-    assert any(b"everybody is here" in data and time == 50_000_000 for time, data in log)
-    assert any(b"somebody coughed" in data and time == 5_000_000_000 for time, data in log)
-    assert (flight.recorder.escorts[:, 0, 0] >= blind.visibility.radius).any()
-    first = int((flight.recorder.escorts[:, 0, 0] >= blind.visibility.radius).argmax())
-    when = round(first * blind.dt * 1e9)
-    assert any(b"lost sight" in data and time == when for time, data in log)
+    for line, tick in events:
+        when = round(tick * blind.dt * 1e9)
+        assert any(line in data and time == when for time, data in log)
 
 
 def test_a_run_that_is_reset_has_several_flights_in_one_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     recorder = FlightRecorder(path, SCENARIO, SEED)
     flights = [Flight(SCENARIO, SEED), Flight(SCENARIO, 9, episode=1)]
+
+    def on_tick() -> None:
+        recorder.tick(flight)
+        if flight.world.tick == 60:
+            flight.stop()
+
     for flight in flights:
-
-        def on_tick(flight: Flight = flight) -> None:
-            recorder.tick(flight)
-            if flight.world.tick == 60:
-                flight.stop()
-
         flight.fly(InProcess(make_pilots(flight.scenario, flight.seed)), on_tick=on_tick)
     recorder.close()
     found = load(path)
@@ -353,20 +333,8 @@ def test_a_kill_costs_half_a_second_at_most(killed):
     assert recording.missing_ticks == 0
     safe = max(tick for tick, when in reached if when < now - 0.5)
     assert last >= safe > 30
-
-
-def test_a_killed_file_is_flown_again_as_far_as_it_goes(killed):
-    recording = flight_of(killed[0])
     found = refly(recording)
-    assert found.difference is None
-    assert found.ticks == recording.truths[-1].tick
-
-    def stop(flight: Flight) -> None:
-        if flight.world.tick == found.ticks:
-            flight.stop()
-
-    flight, _ = fly(recording.scenario, 3, on_tick=stop)
-    assert flight.recorder.sha256() == found.trajectory_sha256
+    assert (found.difference, found.ticks) == (None, last)
 
 
 def test_a_repaired_file_opens_in_the_plain_reader(killed, tmp_path):
@@ -375,8 +343,6 @@ def test_a_repaired_file_opens_in_the_plain_reader(killed, tmp_path):
     assert saved.reason
     found, before = plain(out), list(entries(path))
     assert sum(len(messages) for messages in found.values()) == saved.messages == len(before)
-    for topic, count in Counter(entry.topic for entry in before).items():
-        assert len(found[topic]) == count
     assert [data for _, data in found["/truth"]] == [
         entry.data for entry in before if entry.topic == "/truth"
     ]
@@ -386,21 +352,14 @@ def test_a_repaired_file_opens_in_the_plain_reader(killed, tmp_path):
         repair(path, path)
 
 
-def _boundaries(path: Path) -> Iterator[tuple[int, int]]:
-    """Return offset and kind of each record of the file."""
-    data = path.read_bytes()
-    at = 8
-    while at + 9 <= len(data):
-        kind, length = struct.unpack("<BQ", data[at : at + 9])
-        yield at, kind
-        at += 9 + length
-
-
 def test_a_file_cut_anywhere_gives_a_prefix_or_one_line(tmp_path: Path) -> None:
     path, cut = tmp_path / "run.mcap", tmp_path / "cut.mcap"
     recorded(path, SHORT, SEED)
     data, whole = path.read_bytes(), flight_of(path).truths
-    starts = [at for at, _ in _boundaries(path)]
+    starts = [8]  # of the records: kind, length and content
+    while starts[-1] + 9 <= len(data):
+        (length,) = struct.unpack_from("<Q", data, starts[-1] + 1)
+        starts.append(starts[-1] + 9 + length)
     places = {0, 1, 7, 8, 9, len(data) - 1, len(data) - 8, len(data) - 9}
     places |= {at + offset for at in starts for offset in (0, 4, 9, 12) if at + offset < len(data)}
     places |= set(range(0, len(data), max(1, len(data) // 30)))
@@ -449,47 +408,16 @@ def test_a_file_of_another_version_is_refused() -> None:
             read_head(other, file="old.mcap")
 
 
-def test_replay_tells_the_runs_numbers(flown, command):
+def test_replay_prints_the_runs_numbers(flown, command):
     path, flight = flown
-    found = command("replay", str(path), "--json")
-    assert found.returncode == 0, found.stderr
-    output = json.loads(found.stdout)
-    assert output["trajectory_sha256"] == flight.recorder.sha256()
-    assert output["ticks"] == flight.recorder.ticks
-    assert output["whole"] is True
-    assert 0 < output["bytes_per_minute"] < 2e6
-    assert command("replay", str(path), "--realtime", "1000000").returncode == 0
-
-
-def test_replay_refly_says_same_or_where_it_differs(flown, tmp_path, command):
-    path, flight = flown
-    same = command("replay", str(path), "--refly", "--json")
-    assert same.returncode == 0
-    assert json.loads(same.stdout)["trajectory_sha256"] == flight.recorder.sha256()
-    other = tmp_path / "other.mcap"
-    _rewrite(path, other, tick=200)
-    found = command("replay", str(other), "--refly", "--json")
-    assert found.returncode == 1
-    output = json.loads(found.stdout)
-    assert output["same"] is False
-    assert (output["difference"]["tick"], output["difference"]["vehicle"]) == (201, "ugv_0")
-
-
-def _rewrite(path: Path, out: Path, *, tick: int) -> None:
-    """Copy a recording with another command at one tick."""
-    recording = flight_of(path)
-    file = RecordingFile(out)
-    file.begin(recording.head, recording.scenario)
-    for truth in recording.truths:
-        file.take(TRUTH, truth, truth.time)
-        asked = recording.commands.get(truth.tick)
-        if asked is not None and truth.tick == tick:
-            asked = msgspec.structs.replace(
-                asked, accelerations={**asked.accelerations, "ugv_0": (0.01, -0.02)}
-            )
-        if asked is not None:
-            file.take(COMMANDS, asked, truth.time)
-    file.close()
+    for options in (("--json",), ("--refly", "--json")):
+        found = command("replay", path, *options)
+        assert found.returncode == 0, found.stderr
+        output = json.loads(found.stdout)
+        assert output["trajectory_sha256"] == flight.recorder.sha256()
+        assert output["ticks"] == flight.recorder.ticks
+    assert 0 < json.loads(command("replay", path, "--json").stdout)["bytes_per_minute"] < 2e6
+    assert command("replay", path, "--realtime", "1000000").returncode == 0
 
 
 @pytest.mark.parametrize("content", [b"", b"hello", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n\x01"])
@@ -540,13 +468,13 @@ def test_an_observer_records_a_run_in_progress_to_the_same_bits(tmp_path, comman
                 recorder.record(0.2)
             recorder.close()
 
-        observer = threading.Thread(target=observe, daemon=True)
-        observer.start()
-        run.start_both()
-        truths = run.server_session.outbox(keys.TRUTH)
-        wait_until(lambda: truths.wanted)
-        flight = run.fly()
-        observer.join(30.0)
+        with ThreadPoolExecutor(1) as threads:
+            work = threads.submit(observe)
+            run.start_both()
+            truths = run.server_session.outbox(keys.TRUTH)
+            wait_until(lambda: truths.wanted)
+            flight = run.fly()
+            work.result(30.0)
     recording = flight_of(path)
     assert recording.missing_ticks == 0
     assert len(recording.truths) == flight.recorder.ticks + 1
@@ -579,9 +507,7 @@ def test_a_picture_and_a_film_are_drawn(flown, tmp_path, command):
     red = sum(count for (r, g, b), count in colors.items() if r > 190 and g < 90 and b < 100)
     blue = sum(count for (r, g, b), count in colors.items() if r < 60 and g < 120 and b > 170)
     green = sum(count for (r, g, b), count in colors.items() if g > r + 30 and g > b + 10)
-    assert red > 200
-    assert blue > 200
-    assert green > 20_000
+    assert min(red, blue, green / 100) > 200
 
 
 def test_a_film_as_mp4_needs_ffmpeg_and_gives_it_every_frame(flown, tmp_path, monkeypatch, command):
@@ -589,7 +515,6 @@ def test_a_film_as_mp4_needs_ffmpeg_and_gives_it_every_frame(flown, tmp_path, mo
     refused = command("render", str(flown[0]), "-o", str(tmp_path / "run.mp4"))
     assert refused.returncode == 2
     assert "ffmpeg" in refused.stderr
-    assert command("render", str(flown[0]), "-o", str(tmp_path / "run.avi")).returncode == 2
     program = tmp_path / "ffmpeg"
     # like ffmpeg, which treats text before ':' as a protocol
     program.write_text(
@@ -600,20 +525,8 @@ def test_a_film_as_mp4_needs_ffmpeg_and_gives_it_every_frame(flown, tmp_path, mo
     monkeypatch.chdir(tmp_path)
     made = command("render", str(flown[0]), "-o", "run:1.mp4", "--realtime", "200")
     assert made.returncode == 0
-    width, height = 800, (tmp_path / "run:1.mp4").stat().st_size // (800 * 4 * 5)
-    assert (tmp_path / "run:1.mp4").stat().st_size == width * height * 4 * 5
+    lines, rest = divmod((tmp_path / "run:1.mp4").stat().st_size, 800 * 4 * 5)  # 5 frames
+    assert (lines > 300, rest) == (True, 0)
     program.write_text("#!/bin/sh\necho no such codec >&2\nexit 1\n")
     failed = command("render", str(flown[0]), "-o", str(tmp_path / "run.mp4"))
-    assert failed.returncode == 1
-    assert "no such codec" in failed.stderr
-
-
-def test_without_the_extra_there_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    for library in ("foxglove", "mcap"):
-        monkeypatch.setitem(sys.modules, library, None)
-    for name in ("mcap_file", "writer", "reader"):
-        monkeypatch.delitem(sys.modules, f"outrider.recording.{name}")
-    for name in ("writer", "reader"):
-        line = r"^(foxglove|mcap) is missing: pip install -e '\.\[record\]'$"
-        with pytest.raises(ScenarioError, match=line):
-            import_module(f"outrider.recording.{name}")
+    assert (failed.returncode, "no such codec" in failed.stderr) == (1, True)
