@@ -11,7 +11,7 @@ from bus.messages.telemetry import MissionResult, VehicleStatus
 from outrider.cli import console
 from outrider.experiments.sweep.columns import RESULTS, row_of
 from outrider.running.flying import fly
-from outrider.running.metrics import LINK, MISSION, PROCESS, SUMMARY, UAV, Metric, total
+from outrider.running.metrics import LINK, MISSION, PROCESS, SUMMARY, UAV, total
 from outrider.running.summary import Summary
 from sim.scenario.loading import load_scenario
 
@@ -39,22 +39,15 @@ def _numbers(struct: type[msgspec.Struct]) -> set[str]:
 
 
 def test_summary_numbers_and_metric_rows_correspond() -> None:
-    assert _numbers(Summary) - NO_METRICS == set(SUMMARY) - set(MISSION) - {"trajectory_sha256"}
-    assert set(SUMMARY) - set(MISSION) <= set(Summary.__struct_fields__)
-
-
-@pytest.mark.parametrize(
-    ("table", "struct", "other"),
-    [
+    of_a_run = set(SUMMARY) - set(MISSION)
+    assert _numbers(Summary) - NO_METRICS == of_a_run - {"trajectory_sha256"}
+    assert of_a_run <= set(Summary.__struct_fields__)
+    for table, struct, other in (
         (MISSION, MissionResult, {"guarantees"}),
         (LINK, LinkStatus, {"degraded", "settings"}),
         (PROCESS, VehicleStatus, {"present", "last_fault"}),
-    ],
-)
-def test_every_number_of_a_message_is_a_row(
-    table: dict[str, Metric], struct: type[msgspec.Struct], other: set[str]
-) -> None:
-    assert set(struct.__struct_fields__) ^ set(table) <= other
+    ):
+        assert set(struct.__struct_fields__) ^ set(table) <= other
 
 
 @pytest.fixture(scope="module")
@@ -75,39 +68,34 @@ def test_the_summary_has_each_uav_and_the_total_of_all(pairs: Summary) -> None:
             wanted = math.sqrt(squares / sum(weights))
         elif metric.total != "first":
             wanted = total(metric, values)
-        rel = (
-            0.02 if name == "estimate_rmse" else 1e-9
-        )  # one may have an estimate some ticks before the other
+        # one may have an estimate some ticks before the other
+        rel = 0.02 if name == "estimate_rmse" else 1e-9
         assert getattr(pairs, name) == pytest.approx(wanted, rel=rel), name
     assert one.detections != other.detections
     shares = [uav.certified_share for uav in pairs.uavs.values()]
     assert pairs.certified_share == pytest.approx(sum(share or 0.0 for share in shares) / 2.0)
 
 
-def test_the_console_has_a_row_for_each_of_several_uavs(
-    pairs: Summary, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_console_has_a_row_for_each_of_several_uavs(pairs: Summary, capsys: Any) -> None:
     console.print_summary(pairs, [])
     lines = capsys.readouterr().out.splitlines()
-    for name, summary_of_uav in pairs.uavs.items():
+    for name, of_uav in pairs.uavs.items():
         (row,) = (line.split() for line in lines if line.startswith(name))
-        assert row[1] == UAV["max_distance"].number(summary_of_uav.max_distance or 0.0)
+        assert row[1] == UAV["max_distance"].number(of_uav.max_distance or 0.0)
     alone = msgspec.structs.replace(pairs, uavs={"uav_0": pairs.uavs["uav_0"]})
     console.print_summary(alone, [])
     assert "\nuav_0" not in capsys.readouterr().out
 
 
 def test_a_row_of_a_sweep_has_the_columns_types(pairs: Summary) -> None:
-    types: dict[str, type | tuple[type, ...]] = {
-        "int64": int,
-        "double": (int, float),
-        "bool": bool,
-        "string": str,
-    }
+    types: dict[str, Any] = {"int64": int, "double": (int, float), "bool": bool, "string": str}
     row = row_of(pairs, 1.5)
     assert list(row) == list(RESULTS)
     for name, value in row.items():
         assert value is None or isinstance(value, types[RESULTS[name]]), name
     assert row["margin"] == pairs.visibility_radius - (pairs.max_distance or 0.0)
+    assert row["violated"] is False
+    lost = row_of(msgspec.structs.replace(pairs, visibility_violations=2), 1.5)
+    assert (lost["violated"], lost["visibility_violations"]) == (True, 2)
     ages = [one.max_age for name, one in pairs.links.items() if name.endswith("detections")]
     assert row["detections_max_age"] == max(age for age in ages if age is not None)
