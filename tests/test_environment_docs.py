@@ -10,7 +10,6 @@ from outrider.envs.vector import vector_env
 from pages import PAGES, blocks, run_shown
 from sim.env.settings import Settings
 
-DEFAULTS = vars(Settings())
 PAGE = "docs/reference/environment.md"
 
 
@@ -24,20 +23,10 @@ def test_environment_blocks_run(block, capsys):
     assert capsys.readouterr().out
 
 
-def test_all_arguments_are_documented() -> None:
-    documented = {
-        row[0]
-        for row in re.findall(r"^\| `(\w+)` \| (`[^`]*`) \|", PAGES[PAGE], flags=re.MULTILINE)
-    }
-    assert documented == {"scenario"} | DEFAULTS.keys()
-
-
-def test_documented_defaults_are_the_defaults() -> None:
+def test_all_arguments_are_documented_with_their_defaults() -> None:
     documented = dict(re.findall(r"^\| `(\w+)` \| `([^`]*)` \|", PAGES[PAGE], flags=re.MULTILINE))
-    assert documented.pop("scenario") == repr(
-        inspect.signature(vector_env).parameters["scenario"].default
-    ).replace("'", '"')
-    assert documented.pop("dtype") == "np.float64"
-    assert documented.pop("rewards") == "RewardWeights()"
-    assert documented == {name: repr(DEFAULTS[name]) for name in documented}
+    scenario = inspect.signature(vector_env).parameters["scenario"].default
+    defaults = {name: repr(default) for name, default in vars(Settings()).items()}
+    defaults |= {"dtype": "np.float64", "rewards": "RewardWeights()", "scenario": f'"{scenario}"'}
+    assert documented == defaults
     assert inspect.signature(single_env).parameters["agent"].default == "uav_0"

@@ -1,14 +1,15 @@
 """The notebooks in examples run from the first to the last cell."""
 
 import json
-import os
 from pathlib import Path
+from typing import Any
 
+import matplotlib as mpl
+import matplotlib.pyplot as plt
 import pytest
 
 pytest.importorskip("outrider_learning", reason="a notebook uses the suite")
-from pages import ROOT, blocks
-from processes import python
+from pages import ROOT, blocks, run_shown
 
 FOLDER = ROOT / "examples" / "notebooks"
 PRINTED = {
@@ -30,15 +31,17 @@ def cells(name: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", PRINTED)
-def test_notebook_runs_in_ten_cells(name: str, tmp_path: Path) -> None:
+@pytest.mark.filterwarnings("ignore:.*non-interactive")
+def test_notebook_runs_in_ten_cells(name: str, here: Path, capsys: Any) -> None:
     assert len(cells(name)) == 10
-    code = "import warnings\nwarnings.filterwarnings('ignore', '.*non-interactive')\n"
-    program = code + "\n\n".join(cells(name))
+    program = "\n\n".join(cells(name))
     for full, smaller in SMALLER.items():
         assert name == "paper" or full in program
         program = program.replace(full, smaller)
-    done = python(program, env=os.environ | {"MPLBACKEND": "Agg"}, cwd=tmp_path)
-    assert PRINTED[name] in done.stdout.splitlines()
+    with mpl.rc_context({"backend": "Agg"}):
+        run_shown(program, name)
+    plt.close("all")
+    assert PRINTED[name] in capsys.readouterr().out.splitlines()
 
 
 def test_tutorial_shows_cells_of_the_notebooks() -> None:

@@ -5,7 +5,7 @@ import inspect
 import pkgutil
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import pytest
 
@@ -24,13 +24,12 @@ WRITTEN_IN = (
 )
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """A row of the tables."""
 
     equation: str
     formula: str
-    functions: tuple[str, ...]
+    functions: list[str]
 
 
 def rows() -> Iterator[Row]:
@@ -40,7 +39,7 @@ def rows() -> Iterator[Row]:
     for line in shown.splitlines():
         if line.startswith(("| (", *(f"| {name}" for name in WEIGHTS))):
             equation, formula, functions = line.strip("| ").split(" | ")
-            yield Row(equation, formula, tuple(re.findall(r"`([^`]+)`", functions)))
+            yield Row(equation, formula, re.findall(r"`([^`]+)`", functions))
 
 
 ROWS = list(rows())
@@ -78,10 +77,6 @@ def test_every_citing_function_is_in_the_equation_table() -> None:
     citing = set()
     for module in WRITTEN_IN:
         for name, function in vars(importlib.import_module(module)).items():
-            if (
-                getattr(function, "__module__", None) == module
-                and callable(function)
-                and _cited(function)
-            ):
+            if getattr(function, "__module__", None) == module and _cited(function):
                 citing.add(f"{module}.{name}")
     assert citing == {path for equation, path in FUNCTIONS if equation not in WEIGHTS}
