@@ -35,16 +35,7 @@ from sim.scene.prism import prism, triangulated
 from sim.server.flight import Flight
 from sim.world import World
 
-COURT = (
-    (0.0, 0.0),
-    (6.0, 0.0),
-    (6.0, 6.0),
-    (4.0, 6.0),
-    (4.0, 2.0),
-    (2.0, 2.0),
-    (2.0, 6.0),
-    (0.0, 6.0),
-)
+COURT = ((0, 0), (6, 0), (6, 6), (4, 6), (4, 2), (2, 2), (2, 6), (0, 6))
 """A house with two wings; not convex."""
 SHED = Building(polygon=((20.0, 20.0), (22.0, 20.0), (22.0, 22.0)), height=2.0)
 ENCODE = msgspec.json.Encoder().encode
@@ -73,11 +64,8 @@ def recording_of(one: Scenario, folder: Path) -> Recording:
 
 
 @pytest.fixture(scope="module")
-def flight() -> Flight:
-    one = behind_a_house()
-    flown = Flight(one, 3)
-    flown.fly(InProcess(make_pilots(one, 3)))
-    return flown
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return recording_of(behind_a_house(), tmp_path_factory.mktemp("behind"))
 
 
 def test_hidden_cells_are_those_without_a_line_of_sight() -> None:
@@ -120,15 +108,18 @@ def test_every_building_is_drawn_once_in_its_grey() -> None:
     assert drawn.artists
 
 
-def test_the_film_says_that_a_building_hides_the_ugv(flight: Flight, tmp_path: Path) -> None:
-    film = Film(recording_of(flight.scenario, tmp_path))
-    first, last = (frame[:90, :, :3].astype(int) for frame in film.frames([0.0, 20.0]))
+def test_film_and_log_state_that_a_building_hides_the_ugv(recording: Recording) -> None:
+    first, last = (frame[:90, :, :3].astype(int) for frame in Film(recording).frames([0.0, 20.0]))
     red = (np.abs(frame - (207, 42, 60)).max(axis=2) < 40 for frame in (first, last))
     assert [bool(pixels.any()) for pixels in red] == [True, False]
+    lines = [entry.data for entry in entries(recording.path, ("/log",))]
+    (lost,) = [line for line in lines if b"has lost sight of ugv_0" in line]
+    assert b"behind a building" in lost
+    assert any(b"sees ugv_0 again" in line for line in lines)
 
 
-def test_texts_of_ticks_with_altitude_are_their_messages(flight: Flight) -> None:
-    one, truths = flight.scenario, list[Truth]()
+def test_texts_of_ticks_with_altitude_are_their_messages() -> None:
+    one, truths = behind_a_house(), list[Truth]()
     flown = Flight(one, 3)
     truths.append(flown.truth())
     flown.fly(InProcess(make_pilots(one, 3)), on_tick=lambda: truths.append(flown.truth()))
@@ -139,26 +130,16 @@ def test_texts_of_ticks_with_altitude_are_their_messages(flight: Flight) -> None
         assert [tick.truth for tick in found] == [ENCODE(truth) for truth in truths[first:]]
 
 
-def test_a_recording_with_altitude_flies_again_to_the_bit(flight: Flight, tmp_path: Path) -> None:
+def test_recording_with_altitude_is_reflown_to_the_bit(recording: Recording, tmp_path) -> None:
     climbing = behind_a_house(altitude=AltitudeLaw(law="certified"))
-    for one in (flight.scenario, climbing):
-        recording = recording_of(one, tmp_path)
-        again = refly(recording)
+    for one in (recording, recording_of(climbing, tmp_path)):
+        again = refly(one)
         assert again.difference is None
         assert again.trajectory_sha256 == again.recorded_sha256
-        restored = restore(recording).recorder
+        restored = restore(one).recorder
         assert np.array_equal(restored.heights, again.flight.recorder.heights, equal_nan=True)
     heights = again.flight.recorder.heights
     assert np.ptp(heights[:, 0, 0]) > 0.5
-
-
-def test_the_log_tells_when_a_building_hides_the_ugv(flight: Flight, tmp_path: Path) -> None:
-    recording = recording_of(flight.scenario, tmp_path)
-    lines = [entry.data for entry in entries(recording.path, ("/log",))]
-    lost = [line for line in lines if b"has lost sight of ugv_0" in line]
-    assert len(lost) == 1
-    assert b"behind a building" in lost[0]
-    assert any(b"sees ugv_0 again" in line for line in lines)
 
 
 def test_a_label_stands_on_its_building() -> None:

@@ -10,6 +10,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from rich.color import Color
+from rich.segment import Segment
 
 from worlds import small
 
@@ -131,6 +132,15 @@ def test_ugv_reports_a_changed_route_to_observers(planned) -> None:
     assert behind.routes["ugv_0"] == (route[0], (12.0, 6.0))
 
 
+def terminal_map(path: Path, flight: Flight, ground: GroundMap | None) -> list[Segment]:
+    """Return the pieces of a terminal's map at the end of a recorded flight."""
+    *_, status = statuses(path, flight=0)
+    status = msgspec.structs.replace(status, geometry=geometry_of(flight.scenario))
+    view = DriveView(status=status, truth=flight.truth(), ground=ground)
+    canvas = draw(view, "ugv_0", Trails(), width=90, height=40, wide=True)
+    return [one for row in range(40) for one in canvas.row(row)]
+
+
 def test_every_view_draws_the_route(planned, tmp_path: Path) -> None:
     path, flight, _ = planned
     ground = ground_map(flight.world, routes=flight.routes)
@@ -139,15 +149,11 @@ def test_every_view_draws_the_route(planned, tmp_path: Path) -> None:
     drawn = Map(Figure().add_subplot(), scene_of(flight.scenario), hazards=ground)
     (line,) = [one for one in drawn.artists if getattr(one, "is_dashed", lambda: False)()]
     assert line.get_xydata().tolist() == [list(corner) for corner in ground.routes["ugv_0"]]
-    recording, shown = flight_of(path), []
-    *_, status = statuses(recording.path, flight=0)
-    status = msgspec.structs.replace(status, geometry=geometry_of(flight.scenario))
-    for displayed in (ground, msgspec.structs.replace(ground, routes={})):
-        view = DriveView(status=status, truth=flight.truth(), ground=displayed)
-        canvas = draw(view, "ugv_0", Trails(), width=90, height=40, wide=True)
-        cells = [one for row in range(40) for one in canvas.row(row)]
-        shown.append(sum(len(one.text) for one in cells if one.style.color == ORANGE))
-    assert shown[0] > shown[1] + 5
+    with_route, without = (
+        sum(len(one.text) for one in terminal_map(path, flight, shown) if one.style.color == ORANGE)
+        for shown in (ground, msgspec.structs.replace(ground, routes={}))
+    )
+    assert with_route > without + 5
 
 
 def test_the_environment_draws_the_route_that_its_pilots_plan() -> None:
@@ -164,7 +170,7 @@ def test_the_environment_draws_the_route_that_its_pilots_plan() -> None:
     assert (env.world.position == bare.world.position).all()
 
 
-def test_each_hazard_is_unknown_then_known_then_hit(flown: tuple[Path, Flight, Summary]) -> None:
+def test_each_hazard_is_unknown_then_known_then_hit(flown) -> None:
     path, flight, _ = flown
     first, *_, last = grounds(path, flight=0)
     assert set(first.states) == {UNKNOWN}
@@ -179,11 +185,7 @@ def test_summary_states_the_mission_in_plain_words(flown, capsys) -> None:
     assert mission.arrived
     console.print_summary(summary, [])
     table = capsys.readouterr().out
-    for words in (
-        f"{mission.mission_time:.1f} s",
-        "hazards hit",
-        "objects found",
-    ):
+    for words in (f"{mission.mission_time:.1f} s", "hazards hit", "objects found"):
         assert words in table
 
 
@@ -224,13 +226,9 @@ def test_film_shows_unknown_known_and_hit_hazards(flown) -> None:
 
 
 def test_terminal_marks_hit_and_found_hazards(flown) -> None:
-    _, flight, _ = flown
-    recording = flight_of(flown[0])
-    *_, status = statuses(recording.path, flight=0)
-    status = msgspec.structs.replace(status, geometry=geometry_of(flight.scenario))
-    view = DriveView(status=status, truth=flight.truth(), ground=ground_map(flight.world))
-    canvas = draw(view, "ugv_0", Trails(), width=90, height=40, wide=True)
-    text = "".join(segment.text for row in range(40) for segment in canvas.row(row))
+    path, flight, _ = flown
+    canvas = terminal_map(path, flight, ground_map(flight.world))
+    text = "".join(one.text for one in canvas)
     assert (text.count("✗"), text.count("★"), text.count("☆")) == (1, 1, 0)
 
 

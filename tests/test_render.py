@@ -40,75 +40,40 @@ def png_size(path):
     return struct.unpack(">II", head[16:24])
 
 
-def words(figure):
-    return [text.get_text() for text in figure.texts]
-
-
 def panel(figure, title):
     return next(axes for axes in figure.axes if axes.get_title(loc="left").startswith(title))
 
 
-def limits(axes):
-    """Return the names of the radii that are drawn over time."""
-    return [text.get_text() for text in axes.texts]
+def texts(artist):
+    return [text.get_text() for text in artist.texts]
 
 
-@pytest.fixture(scope="module")
-def drawn(flight, tmp_path_factory):
-    path = tmp_path_factory.mktemp("drawn") / "flight.png"
-    draw_flight(flight, path)
-    return path
-
-
-def test_picture_is_a_small_png_of_its_size(drawn):
-    assert png_size(drawn) == SIZE
-    assert 20_000 < drawn.stat().st_size < 400_000
-
-
-def test_user_settings_change_no_byte_of_the_picture(flight, drawn, tmp_path):
+def test_picture_is_a_small_png_for_any_user_settings(flight, tmp_path):
+    draw_flight(flight, tmp_path / "a.png")
+    assert png_size(tmp_path / "a.png") == SIZE
+    assert 20_000 < (tmp_path / "a.png").stat().st_size < 400_000
     with mpl.rc_context(
         {"font.size": 20.0, "axes.facecolor": "black", "savefig.dpi": 50, "text.usetex": False}
     ):
         before = dict(mpl.rcParams)
         draw_flight(flight, tmp_path / "b.png")
         assert dict(mpl.rcParams) == before
-    assert drawn.read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_header_shows_scenario_law_seed_distance_and_margin(flight):
-    text_of_figure = " ".join(words(flight_figure(flight)))
-    farthest = flight.recorder.escorts[:, 0, 0].max()
-    for part in (
-        "test",
-        "law logarithmic",
-        "seed 3",
-        f"{farthest:.2f} m",
-        f"margin {4.75 - farthest:.2f} m",
-    ):
-        assert part in text_of_figure
-
-
-def test_map_shows_the_share_of_the_coverage_wanted(flight):
-    shown = flight_figure(flight).axes[0].images[0].get_array()
+def test_picture_shows_the_recorded_flight(flight):
+    figure, (far, error) = flight_figure(flight), flight.recorder.escorts[:, 0, :2].T
+    header = " ".join(texts(figure))
+    for part in ("test", "law logarithmic", "seed 3", f"{far.max():.2f} m"):
+        assert part in header
+    assert f"margin {4.75 - far.max():.2f} m" in header
+    shown = figure.axes[0].images[0].get_array()
     np.testing.assert_array_equal(shown, np.minimum(flight.world.coverage / 2.0, 1.0))
-
-
-def test_lines_are_the_recorded_flight(flight):
-    figure = flight_figure(flight)
-    np.testing.assert_array_equal(
-        panel(figure, "Distance").lines[0].get_ydata(), flight.recorder.escorts[:, 0, 0]
-    )
-    np.testing.assert_array_equal(
-        panel(figure, "Coverage error").lines[0].get_ydata(), flight.recorder.escorts[:, 0, 1]
-    )
-    np.testing.assert_allclose(
-        panel(figure, "Coverage error").lines[0].get_xdata(), np.arange(201) * 0.05
-    )
-
-
-def test_without_noise_there_is_no_panel_for_it():
-    figure = flight_figure(fly(scenario(detections=Detections(), duration=1.0), 0)[0])
-    assert [axes.get_ylabel() for axes in figure.axes] == LABELS[:-1]
+    for title, values in (("Distance", far), ("Coverage error", error)):
+        line = panel(figure, title).lines[0]
+        np.testing.assert_array_equal(line.get_ydata(), values)
+        np.testing.assert_allclose(line.get_xdata(), np.arange(201) * 0.05)
+    assert [axes.get_ylabel() for axes in figure.axes] == LABELS
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 3])
@@ -126,10 +91,12 @@ def test_a_flight_cut_short_is_drawn(ticks, tmp_path):
     assert png_size(tmp_path / "flight.png") == SIZE
 
 
-def test_nothing_flown_is_refused(tmp_path):
+def test_empty_flight_or_missing_folder_raises(flight, tmp_path):
     with pytest.raises(ValueError, match="no recorded state"):
         draw_flight(Flight(scenario(), 0), tmp_path / "flight.png")
     assert not (tmp_path / "flight.png").exists()
+    with pytest.raises(OSError, match="nowhere"):
+        draw_flight(flight, tmp_path / "nowhere" / "flight.png")
 
 
 def test_two_pairs_have_colors_and_names_of_their_own(tmp_path):
@@ -151,7 +118,7 @@ def test_two_pairs_have_colors_and_names_of_their_own(tmp_path):
     )
     legend = panel(figure, "Distance").get_legend()
     assert not title.get_window_extent().overlaps(legend.get_window_extent())
-    assert "pairs" in words(figure)
+    assert "pairs" in texts(figure)
 
 
 def test_observers_have_the_same_scene_as_who_knows_the_scenario():
@@ -199,7 +166,7 @@ def test_unusual_scenario_is_drawn(odd, tmp_path):
     assert (summary.detections == 0) is (odd.detections.dropout == 1.0)
     draw_flight(flown, tmp_path / "flight.png")
     assert png_size(tmp_path / "flight.png") == SIZE
-    assert max(map(len, words(flight_figure(flown)))) < 150
+    assert max(map(len, texts(flight_figure(flown)))) < 150
 
 
 @pytest.mark.parametrize(
@@ -213,32 +180,25 @@ def test_unusual_scenario_is_drawn(odd, tmp_path):
 )
 def test_r_s_is_drawn_only_as_a_separate_circle(uav, drawn):
     law = Law(name="coverage", parameters={"reference_speed": 0.6})
-    figure = flight_figure(
-        fly(msgspec.structs.replace(scenario(uav=uav, duration=1.0), law=law), 0)[0]
-    )
-    assert ("$r_s$" in limits(panel(figure, "Distance"))) is drawn
-    assert "$r_v$" in limits(panel(figure, "Distance"))
+    one = msgspec.structs.replace(scenario(uav=uav, duration=1.0), law=law)
+    figure = flight_figure(fly(one, 0)[0])
+    assert ("$r_s$" in texts(panel(figure, "Distance"))) is drawn
+    assert "$r_v$" in texts(panel(figure, "Distance"))
     radii = sorted({round(patch.get_radius(), 3) for patch in figure.axes[0].patches})
     assert radii == ([3.683, 4.75, 5.0] if drawn else [4.75, 5.0])
 
 
-def test_lost_sight_is_shaded_and_said():
+def test_only_lost_sight_is_shaded_and_stated(flight):
+    def shaded(figure):
+        return [one for one in panel(figure, "Distance").collections[0].get_paths() if len(one)]
+
+    assert not shaded(flight_figure(flight))
     flown, summary = fly(scenario("coverage", duration=60.0, detections=Detections()), 0)
     assert summary.visibility_violations > 0
     figure = flight_figure(flown)
-    veil = panel(figure, "Distance").collections[0].get_paths()
     lost = np.flatnonzero(flown.recorder.escorts[:, 0, 0] >= 4.75) * 0.05
-    assert min(path.get_extents().x0 for path in veil) == pytest.approx(lost[0], abs=0.051)
-    assert f"UGV out of sight for {summary.visibility_violations * 0.05:.2f} s" in words(figure)
-
-
-def test_sight_that_is_kept_is_not_shaded(flight):
-    assert not any(
-        len(path.vertices)
-        for path in panel(flight_figure(flight), "Distance").collections[0].get_paths()
-    )
-
-
-def test_a_folder_that_is_not_there_is_an_oserror(flight, tmp_path):
-    with pytest.raises(OSError, match="nowhere"):
-        draw_flight(flight, tmp_path / "nowhere" / "flight.png")
+    first = min(path.get_extents().x0 for path in shaded(figure))
+    assert first == pytest.approx(lost[0], abs=0.051)
+    assert f"UGV out of sight for {summary.visibility_violations * 0.05:.2f} s" in texts(figure)
+    # without noise there is no panel for it
+    assert [axes.get_ylabel() for axes in figure.axes] == LABELS[:-1]
