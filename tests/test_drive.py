@@ -1,7 +1,4 @@
-"""`outrider drive` in a real pseudo-terminal.
-
-Messages for keys, contents of the screen, and restoration of the terminal.
-"""
+"""`outrider drive`: messages for keys, contents of the screen, and restoration of the terminal."""
 
 import asyncio
 import codecs
@@ -9,7 +6,6 @@ import fcntl
 import math
 import os
 import pty
-import re
 import select
 import signal
 import struct
@@ -19,89 +15,49 @@ import termios
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 
 from bus.joining import open_session
 from bus.keys import CONTROL, OPERATOR, SAMPLED_TRUTH, STATUS, Party, Role
 from bus.messages.control import Action, Control
 from bus.messages.scenario import Area
-from bus.messages.telemetry import Geometry, Status, Truth, VehicleTruth
+from bus.messages.telemetry import Geometry, Status, Truth
 from bus.messages.vehicle import Teleoperation
 from bus.session import Session
 from outrider.view.terminal.canvas import Canvas
+from outrider.view.terminal.panel import banner
 from outrider.view.terminal.pressed_keys import FIRST, REPEAT, Heading, PressedKeys
 from outrider.view.terminal.teleoperation import DriveLink, DriveView
 from outrider.view.terminal.topview import Trails, draw
-from processes import await_status, wait_until
-from scattered import scattered
+from processes import wait_until
+from staging import stage
 from statuses import PRESENT, a_status, a_truth, a_vehicle
 
 pytest.importorskip("textual", reason="the extra [drive] is not installed")
 
 CHILD = (
-    "import fcntl, sys, termios\n"
-    "if sys.stdin.isatty(): fcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
-    "from outrider.cli import drive, main\nmain.main()\n"
+    "import fcntl, termios\nfcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
+    "from outrider.cli import main\nmain.main()\n"
 )
-
-
-class Screen:
-    """A minimal terminal: characters by position, the cursor, the alternate screen."""
-
-    def __init__(self, columns: int, rows: int) -> None:
-        self.resize(columns, rows)
-        self.modes: dict[str, bool] = {}
-        self._rest = ""
-
-    def resize(self, columns: int, rows: int) -> None:
-        self.cells = [[" "] * columns for _ in range(rows)]
-        self._x = self._y = 0
-
-    def feed(self, text: str) -> None:
-        text = self._rest + text
-        cut = re.search(r"\x1b(?:\[[^@-~]*)?$", text)
-        text, self._rest = (text[: cut.start()], cut[0]) if cut else (text, "")
-        for found in re.finditer(
-            r"\x1b(?:\[([?<>=]?)([\d;:]*)([$ ]?[@-~])|[^\[])|\r|\n|[^\x00-\x1f]", text
-        ):
-            self._apply(found[0], found[1], found[2], found[3])
-
-    def _apply(self, piece: str, mark: str, numbers: str, kind: str) -> None:
-        if kind == "H" and not mark:
-            row, _, column = numbers.partition(";")
-            self._y, self._x = int(row or 1) - 1, int(column or 1) - 1
-        elif kind in ("h", "l") and mark == "?":
-            self.modes[numbers] = kind == "h"
-        elif piece == "\r":
-            self._x = 0
-        elif piece == "\n":
-            self._y += 1
-        elif not piece.startswith("\x1b"):
-            if self._y < len(self.cells) and self._x < len(self.cells[0]):
-                self.cells[self._y][self._x] = piece
-            self._x += 1
-
-    @property
-    def text(self) -> str:
-        return "\n".join("".join(row).rstrip() for row in self.cells)
 
 
 class Terminal:
     """`outrider drive` in a pseudo-terminal of its own."""
 
-    def __init__(self, *arguments: str) -> None:
+    def __init__(self, endpoint: str) -> None:
         self.master, self.slave = pty.openpty()
-        self.screen = Screen(80, 24)
+        termios.tcsetwinsize(self.slave, (24, 80))
         self.output = ""
         self._decode = codecs.getincrementaldecoder("utf-8")().decode
-        self._set_size(80, 24)
         self.before = termios.tcgetattr(self.slave)
         self.process = subprocess.Popen(
-            [sys.executable, "-c", CHILD, "drive", *arguments],
+            [sys.executable, "-c", CHILD, "drive", "--connect", endpoint, "--run", "mine"],
             stdin=self.slave,
             stdout=self.slave,
             stderr=self.slave,
@@ -109,58 +65,37 @@ class Terminal:
             env=os.environ | {"TERM": "xterm-256color", "COLORTERM": "truecolor"},
         )
 
-    def _set_size(self, columns: int, rows: int) -> None:
-        fcntl.ioctl(self.master, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
-
-    def resize(self, columns: int, rows: int) -> None:
-        self.screen.resize(columns, rows)
-        self._set_size(columns, rows)
-
-    def read(self, patience: float = 0.02) -> None:
-        while select.select([self.master], [], [], patience)[0]:
-            text = self._decode(os.read(self.master, 65536))
-            self.output += text
-            self.screen.feed(text)
-            patience = 0.0
-
-    def waiting(self) -> int:
+    def count_unread(self) -> int:
         """Return the number of unread bytes in the terminal."""
         return int(struct.unpack("i", fcntl.ioctl(self.master, termios.FIONREAD, bytes(4)))[0])
 
     def press(self, keys: str) -> None:
         os.write(self.master, keys.encode())
 
-    def wait_until_true(self, condition: Callable[[], object], seconds: float = 15.0) -> None:
+    def await_that(
+        self, condition: Callable[[], object], *, held: str = "", seconds: float = 15.0
+    ) -> None:
+        """Read until a condition is true; meanwhile repeat a held key, as a terminal does."""
         limit = time.monotonic() + seconds
         while not condition():
-            self.read()
             assert time.monotonic() < limit, (
-                f"waited in vain before this screen:\n{self.screen.text}\n{self.output[-500:]!r}"
+                f"waited in vain; the last output: {self.output[-2000:]!r}"
             )
+            self.press(held)
+            while select.select([self.master], [], [], 0.05)[0]:
+                self.output += self._decode(os.read(self.master, 65536))
 
-    def await_text(self, *texts: str) -> None:
-        self.wait_until_true(lambda: all(text in self.screen.text for text in texts))
-
-    def hold(self, key: str, condition: Callable[[], object], seconds: float = 15.0) -> None:
-        """Press a key repeatedly, as a terminal does, until a condition is true."""
-        limit = time.monotonic() + seconds
-        while not condition():
-            self.press(key)
-            self.read(0.05)
-            assert time.monotonic() < limit, f"held in vain before this screen:\n{self.screen.text}"
-
-    def ends(self) -> int:
-        self.wait_until_true(lambda: self.process.poll() is not None)
-        self.read()
-        return int(self.process.returncode)
+    def await_text(self, text: str) -> None:
+        """Read until the screen shows a text that it has not shown since the last call."""
+        self.await_that(lambda: text in self.output)
+        self.output = self.output.partition(text)[2]
 
     def is_restored(self) -> bool:
-        modes = self.screen.modes
-        return (
-            termios.tcgetattr(self.slave) == self.before
-            and modes["25"]
-            and not modes["1049"]
-            and not modes.get("2004")
+        """Return whether the cursor is visible, and all modes and attributes are the previous ones."""
+        modes = ("\x1b[?25", "lh"), ("\x1b[?1049", "hl"), ("\x1b[?2004", "hl")
+        return termios.tcgetattr(self.slave) == self.before and all(
+            self.output.rfind(mode + last) >= self.output.rfind(mode + first)
+            for mode, (first, last) in modes
         )
 
     def hang_up(self) -> None:
@@ -175,10 +110,6 @@ class Terminal:
         for descriptor in (self.master, self.slave):
             with suppress(OSError):
                 os.close(descriptor)
-
-
-def teleoperation(*arguments: str) -> closing[Terminal]:
-    return closing(Terminal(*arguments))
 
 
 GEOMETRY = Geometry(
@@ -211,8 +142,8 @@ class Scripted:
         self.controls: list[Control] = []
         self.drives: list[Teleoperation] = []
         self.drivers = {"ugv_0": "script"}
-        self.operators: dict[str, str] = {}
-        self.tick = 100
+        self._operators: dict[str, str] = {}
+        self._tick = 100
         self._over = threading.Event()
         self._statuses, self._truths = session.outbox(STATUS), session.outbox(SAMPLED_TRUTH)
         self._controls = session.inbox(CONTROL)
@@ -228,37 +159,67 @@ class Scripted:
                 self.controls.append(envelope.message)
                 vehicle = envelope.message.vehicle or ""
                 self.drivers[vehicle] = envelope.message.driver or ""
-                self.operators[vehicle] = envelope.message.operator or ""
+                self._operators[vehicle] = envelope.message.operator or ""
             while (envelope := self._drives.next_waiting()) is not None:
                 assert isinstance(envelope.message, Teleoperation)
                 self.drives.append(envelope.message)
-            self.tick += 1
-            fields = {"drivers": dict(self.drivers)}
-            fields["operators"] = {name: who for name, who in self.operators.items() if who}
-            self._statuses.send(status_at(self.tick, **fields))
-            self._truths.send(truth_at(self.tick))
+            self._tick += 1
+            operators = {name: who for name, who in self._operators.items() if who}
+            self._statuses.send(
+                status_at(self._tick, drivers=dict(self.drivers), operators=operators)
+            )
+            self._truths.send(truth_at(self._tick))
 
     def count_requests(self, driver: str) -> int:
-        return sum(
-            msgspec.structs.replace(one, operator=None)
-            == Control(action=Action.DRIVER, vehicle="ugv_0", driver=driver)
-            for one in self.controls
-        )
+        return sum(without_operator(one) == request(driver) for one in self.controls)
 
     def close(self) -> None:
         self._over.set()
         self._thread.join()
 
 
+def request(driver: str) -> Control:
+    return Control(action=Action.DRIVER, vehicle="ugv_0", driver=driver)
+
+
+def without_operator(control: Any) -> Control:
+    return msgspec.structs.replace(control, operator=None)
+
+
+def joined(role: Role, endpoint: str, run: str = "mine") -> Any:
+    return open_session(Party(role=role, name=role.value), run, connect=endpoint)
+
+
 @contextmanager
 def scripted(endpoint: str) -> Iterator[Scripted]:
-    with (
-        open_session(
-            Party(role=Role.SIMULATOR, name="simulator"), "mine", connect=endpoint
-        ) as session,
-        closing(Scripted(session)) as one,
-    ):
+    with joined(Role.SIMULATOR, endpoint) as session, closing(Scripted(session)) as one:
         yield one
+
+
+@contextmanager
+def linked(session: Session, **fields: Any) -> Iterator[DriveLink]:
+    """Start the link of an operator's terminal, and end it."""
+    link = DriveLink(session, "ugv_0", **{"speed": 0.2, "status": status_at()} | fields)
+    link.start()
+    try:
+        yield link
+    finally:
+        link.leave()
+        assert link.wait(10.0)
+
+
+def hold(link: DriveLink, heading: Heading, condition: Callable[[], object]) -> None:
+    """Press a key repeatedly until a condition is true."""
+
+    def is_reached() -> object:
+        link.press(heading)
+        return condition()
+
+    wait_until(is_reached)
+
+
+def await_banner(link: DriveLink, text: str) -> None:
+    wait_until(lambda: text in banner(link.view(), "ugv_0", leaving=link.leaving).text)
 
 
 @pytest.fixture(scope="module")
@@ -269,199 +230,158 @@ def endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield where
 
 
-def arguments(endpoint: str, *more: str) -> tuple[str, ...]:
-    return ("--connect", endpoint, "--run", "mine", *more)
+# Real terminals
 
 
-def test_keys_drive_the_ugv_and_restore_the_terminal(endpoint):
-    with scripted(endpoint) as simulator, teleoperation(*arguments(endpoint)) as one:
-        one.await_text(
-            "script drives ugv_0",
-            "distance uav_0",
-            "1.25 m",
-            "+3.50 m",
-            "e(t)",
-            "321.5 m²",
-            "▲",
-            "■",
-            "real time (target x 1)",
-        )
+def test_keys_drive_the_ugv_and_restore_the_terminal(endpoint: str) -> None:
+    with closing(Terminal(endpoint)) as one, ExitStack() as stack:
+        one.await_text("waiting for the simulator of the run mine")
+        simulator = stack.enter_context(scripted(endpoint))
+        one.await_text("script drives ugv_0")
         assert not simulator.controls  # watching changes nothing
         assert termios.tcgetattr(one.slave) != one.before
-        one.hold("d", lambda: len(simulator.drives) > 5)
+        one.await_that(lambda: len(simulator.drives) > 5, held="d")
         assert simulator.count_requests("teleop") == 1
-        assert all(
-            drive == Teleoperation(operator="operator", velocity=(0.2, 0.0))
-            for drive in simulator.drives
-        )
+        east = Teleoperation(operator="operator", velocity=(0.2, 0.0))
+        assert all(drive == east for drive in simulator.drives)
         one.await_text("YOU DRIVE ugv_0")
-        one.wait_until_true(lambda: simulator.drives[-1].velocity is None)  # the key was released
-        one.hold("\x1b[A", lambda: simulator.drives[-1].velocity == (0.0, 0.2))
+        one.await_that(lambda: simulator.drives[-1].velocity is None)  # the key was released
+        one.await_that(lambda: simulator.drives[-1].velocity == (0.0, 0.2), held="\x1b[A")
         received = len(simulator.drives)
         one.press(" ")
-        one.wait_until_true(lambda: simulator.drives[-1] == Teleoperation(operator="operator"))
+        one.await_that(lambda: simulator.drives[-1] == Teleoperation(operator="operator"))
         assert len(simulator.drives) <= received + 2  # at once, not after the timeout of the key
         one.press("h")
         one.await_text("script drives ugv_0")
-        one.hold("S", lambda: simulator.drives[-1].velocity == (0.0, -0.2))
+        one.await_that(lambda: simulator.drives[-1].velocity == (0.0, -0.2), held="S")
         assert simulator.count_requests("teleop") == 2
         one.press("q")
-        assert one.ends() == 0
+        one.await_that(lambda: one.process.poll() is not None)
+        assert one.process.returncode == 0
         assert simulator.count_requests("script") == 2
         assert simulator.drivers == {"ugv_0": "script"}
         assert one.is_restored()
         assert "ugv_0: control returned to script" in one.output
 
 
-def test_of_two_terminals_only_one_drives_and_hands_back(endpoint: str) -> None:
+@pytest.mark.parametrize("fault", ["frozen", "closed"])
+def test_lost_terminal_hands_control_back(fault: str, endpoint: str) -> None:
+    """No process reads the output, as over a frozen SSH connection, or the terminal is closed."""
+    with scripted(endpoint) as simulator, closing(Terminal(endpoint)) as one:
+        one.await_text("script drives ugv_0")
+        one.await_that(lambda: simulator.drivers["ugv_0"] == "teleop", held="d")
+        if fault == "frozen":
+            wait_until(lambda: one.count_unread() > 3000)
+            wait_until(lambda: simulator.drives[-1].velocity is None)
+            one.process.send_signal(signal.SIGTERM)
+            assert one.process.wait(15.0) == 143
+            assert termios.tcgetattr(one.slave) == one.before
+        else:
+            one.hang_up()
+            assert one.process.wait(15.0) == 129
+        wait_until(lambda: simulator.drivers["ugv_0"] == "script")
+
+
+def test_unknown_vehicle_or_missing_terminal_is_refused(endpoint, command, monkeypatch) -> None:
+    words = ("drive", "--connect", endpoint, "--run", "mine", "--name", "ugv_7")
+    run = command(*words)  # pytest provides no terminal
+    assert run.returncode == 2
+    assert run.stderr.startswith("outrider: drive: standard input is not a terminal; over SSH use")
+    monkeypatch.setattr("outrider.view.terminal.terminal.check_terminal", lambda: None)
+    with scripted(endpoint):
+        run = command(*words)
+    assert run.returncode == 2
+    assert "--name ugv_7: no UGV of this run; allowed: ugv_0" in run.stderr
+
+
+# Control over the UGV
+
+
+def test_of_two_operators_only_one_drives_and_hands_back(endpoint: str) -> None:
     with (
         scripted(endpoint) as simulator,
-        teleoperation(*arguments(endpoint)) as first,
-        teleoperation(*arguments(endpoint)) as second,
+        joined(Role.OPERATOR, endpoint) as one,
+        joined(Role.OPERATOR, endpoint) as other,
+        linked(one) as first,
+        linked(other) as second,
     ):
-        for one in (first, second):
-            one.await_text("script drives ugv_0")
-        first.hold("d", lambda: simulator.drives)
-        first.await_text("YOU DRIVE ugv_0")
-        second.await_text("another operator drives ugv_0")
-        second.press("h")
-        second.hold("w", lambda: simulator.drives[-1].velocity == (0.0, 0.2))
-        assert (
-            simulator.count_requests("script") == 0
-        )  # `h` has no effect for an operator without control
-        second.await_text("YOU DRIVE ugv_0")
-        first.await_text("another operator drives ugv_0")
-        for key in "hq":
-            first.press(key)
-        assert first.ends() == 0
-        assert "another operator drives" in first.output
-        assert simulator.count_requests("script") == 0
-        second.press("\x03")
-        assert second.ends() == 130
-        assert second.is_restored()
-        wait_until(lambda: simulator.drivers["ugv_0"] == "script")
+        hold(first, Heading.EAST, lambda: simulator.drives)
+        await_banner(first, "YOU DRIVE ugv_0")
+        await_banner(second, "another operator drives ugv_0")
+        second.hand_back()
+        hold(second, Heading.NORTH, lambda: simulator.drives[-1].velocity == (0.0, 0.2))
+        await_banner(second, "YOU DRIVE ugv_0")
+        await_banner(first, "another operator drives ugv_0")
+        first.hand_back()
+        first.leave()
+        assert first.wait(10.0)
+        assert first.farewell() == "ugv_0: another operator drives"
+        assert simulator.count_requests("script") == 0  # only the operator in control returns it
+        second.leave()
+        assert second.wait(10.0)
+        assert second.farewell() == "ugv_0: control returned to script"
+        assert simulator.drivers["ugv_0"] == "script"
 
 
 def test_drive_continues_with_the_next_simulator(endpoint: str) -> None:
-    with teleoperation(*arguments(endpoint, "--speed", "0.1", "--back", "waypoints")) as one:
-        one.wait_until_true(lambda: "waiting for the simulator of the run mine" in one.output)
+    with (
+        joined(Role.OPERATOR, endpoint) as session,
+        linked(session, speed=0.1, back="waypoints") as link,
+    ):
         with scripted(endpoint) as simulator:
-            one.await_text("script drives ugv_0")
-            one.hold("a", lambda: simulator.drives)
+            hold(link, Heading.WEST, lambda: simulator.drives)
             assert simulator.drives[0].velocity == (-0.1, 0.0)
-            one.await_text("YOU DRIVE")
-        one.await_text("SIMULATOR DISCONNECTED")
+            await_banner(link, "YOU DRIVE")
+        await_banner(link, "SIMULATOR DISCONNECTED")
         with scripted(endpoint) as simulator:
-            one.await_text("drives ugv_0")
-            one.wait_until_true(lambda: "DISCONNECTED" not in one.screen.text)
-            one.hold("w", lambda: simulator.drivers["ugv_0"] == "teleop" and simulator.drives)
+            await_banner(link, "script drives ugv_0")
+            hold(link, Heading.NORTH, lambda: simulator.drives)
             assert simulator.drives[-1].velocity == (0.0, 0.1)
-            one.resize(46, 20)
-            one.await_text("YOU DRIVE", "distance uav_0", "1.25 m", "e(t)")
-            assert "■" not in one.screen.text  # no room for a map
-            one.resize(120, 40)
-            one.await_text("■", "return control")
-            one.hang_up()
-            assert one.process.wait(15.0) == 129
-            wait_until(lambda: simulator.drivers["ugv_0"] == "waypoints")
-
-
-def test_control_taken_in_the_last_moment_is_handed_back(endpoint: str) -> None:
-    with scripted(endpoint) as simulator, teleoperation(*arguments(endpoint)) as one:
-        one.await_text("script drives ugv_0")
-        one.press("dq")
-        assert one.ends() == 0
-        tick = simulator.tick
-        wait_until(lambda: simulator.tick > tick + 5)  # all pending messages were received
-        assert simulator.drivers == {"ugv_0": "script"}
-
-
-def test_terminal_that_is_not_read_hands_control_back(endpoint: str) -> None:
-    """No process reads the output, as over a frozen SSH connection."""
-    with scripted(endpoint) as simulator, teleoperation(*arguments(endpoint)) as one:
-        one.await_text("script drives ugv_0")
-        one.hold("d", lambda: simulator.drivers["ugv_0"] == "teleop")
-        wait_until(lambda: one.waiting() > 3000)
-        wait_until(lambda: simulator.drives[-1].velocity is None)
-        one.process.send_signal(signal.SIGTERM)
-        assert one.process.wait(15.0) == 143
-        assert termios.tcgetattr(one.slave) == one.before
-        wait_until(lambda: simulator.drivers["ugv_0"] == "script")
+            await_banner(link, "YOU DRIVE")
+            link.leave()
+            assert link.wait(10.0)
+            assert simulator.drivers["ugv_0"] == "waypoints"
 
 
 def test_control_taken_before_the_first_status_is_handed_back(endpoint: str) -> None:
-    simulator = Party(role=Role.SIMULATOR, name="simulator")
-    operator = Party(role=Role.OPERATOR, name="operator")
     with (
-        open_session(simulator, "silent", connect=endpoint) as mute,
-        open_session(operator, "silent", connect=endpoint) as session,
+        joined(Role.SIMULATOR, endpoint, "silent") as mute,
+        joined(Role.OPERATOR, endpoint, "silent") as session,
     ):
         controls = mute.inbox(CONTROL)
         mute.announce()
-        link = DriveLink(session, "ugv_0", speed=0.2, status=status_at())
-        link.start()
-        requests = []
-        for driver in ("teleop", "script"):
-            wait_until(lambda: link.press(Heading.EAST) or controls.holds_any(), 10.0)  # type: ignore[func-returns-value]
-            envelope = controls.next_waiting()
-            assert envelope is not None
-            requests.append((driver, msgspec.structs.replace(envelope.message, operator=None)))
-            link.leave()
-        assert link.wait(10.0)
-        assert requests == [
-            (driver, Control(action=Action.DRIVER, vehicle="ugv_0", driver=driver))
-            for driver in ("teleop", "script")
+        with linked(session) as link:
+            hold(link, Heading.EAST, controls.holds_any)
+            taken = controls.next_waiting()
+        wait_until(controls.holds_any)
+        returned = controls.next_waiting()
+        assert [without_operator(one.message) for one in (taken, returned)] == [
+            request("teleop"),
+            request("script"),
         ]
         assert "not confirmed yet" in link.farewell()
 
 
-def test_an_unknown_vehicle_is_refused_with_those_that_there_are(endpoint: str) -> None:
-    with scripted(endpoint), teleoperation(*arguments(endpoint, "--name", "ugv_7")) as one:
-        assert one.ends() == 2
-        assert "--name ugv_7: no UGV of this run; allowed: ugv_0" in one.output
-        assert "1049" not in one.screen.modes
+def test_operator_drives_a_simulated_ugv_without_jumps(tmp_path: Path) -> None:
+    with stage(tmp_path, 100_000, realtime=4.0) as run:
+        run.start_both()
+
+        def work(_send: Any, status: Any) -> None:
+            with linked(run.client("operator"), status=status(lambda s: s.tick > 10)) as link:
+                velocity = run.server.flight.world.velocity
+                hold(link, Heading.WEST, lambda: velocity[1, 0] < -0.15)
+                await_banner(link, "YOU DRIVE ugv_0")
+            assert link.farewell() == "ugv_0: control returned to waypoints"
+            run.server.flight.stop()
+
+        flight = run.fly(operator=work)
+    v = flight.recorder.states[:, 1, 2:4]
+    assert v[:, 0].min() < -0.15
+    assert np.hypot(*np.diff(v, axis=0).T).max() <= 0.1 * 0.05 + 1e-12
+    assert [change.control.driver for change in run.server.changes] == ["teleop", "waypoints"]
 
 
-def test_without_a_terminal_there_is_one_clear_line(command) -> None:
-    run = command("drive")  # pytest provides no terminal
-    assert run.returncode == 2
-    assert (
-        run.stderr
-        == "outrider: drive: standard input is not a terminal; over SSH use `ssh -t`, in a container `-it`\n"
-    )
-
-
-@pytest.mark.usefixtures("nothing_left_behind")
-def test_operator_drives_in_real_time_without_jumps(tmp_path: Path) -> None:
-    with scattered(tmp_path) as run:
-        run.router()
-        simulator = run.simulator("--realtime", "1")
-        run.vehicles()
-        files = tmp_path / "credentials"
-        own = arguments(run.endpoint, "--credentials", str(files / "operator.json"))
-        session = run.client("observer")
-        with teleoperation(*own) as one:
-            truths = session.inbox(SAMPLED_TRUTH)
-            seen: list[VehicleTruth] = []
-
-            def heads_west() -> bool:
-                while (envelope := truths.next_waiting()) is not None:
-                    if isinstance(envelope.message, Truth):
-                        seen.append(envelope.message.vehicles["ugv_0"])
-                return bool(seen) and seen[-1].velocity[0] < -0.15
-
-            one.await_text("waypoints drives ugv_0", "4.75 m")
-            one.hold("\x1b[D", heads_west)
-            one.await_text("YOU DRIVE")
-            assert max(math.hypot(*state.acceleration) for state in seen) <= 0.1 + 1e-9
-            one.press("q")
-            assert one.ends() == 0
-            assert one.is_restored()
-            assert "ugv_0: control returned to waypoints" in one.output
-            after = await_status(session, lambda status: status.drivers == {"ugv_0": "waypoints"})
-            drivers = [change.control.driver for change in after.changes]
-            assert list(dict.fromkeys(drivers)) == ["teleop", "waypoints"]
-        simulator.kill()
+# Keys and screen
 
 
 def test_key_expires_unless_it_is_repeated() -> None:
@@ -501,10 +421,10 @@ def test_map_shows_vehicles_and_visibility_radius() -> None:
     trails.follow(truth_at())
     view = DriveView(status=status_at(), truth=truth_at(distance=3.0))
     rows = characters(draw(view, "ugv_0", trails, width=44, height=21, wide=False))
-    ugv = next((row.index("■"), k) for k, row in enumerate(rows) if "■" in row)
-    uav = next((row.index("▲"), k) for k, row in enumerate(rows) if "▲" in row)
+    ugv, uav, goal = (
+        next((row.index(mark), k) for k, row in enumerate(rows) if mark in row) for mark in "■▲×"
+    )
     assert uav[1] == ugv[1]
-    goal = next((row.index("×"), k) for k, row in enumerate(rows) if "×" in row)
     assert goal[0] > ugv[0]
     assert goal[1] < ugv[1]
     metres_per_cell = 3.0 / (uav[0] - ugv[0])
@@ -515,10 +435,8 @@ def test_map_shows_vehicles_and_visibility_radius() -> None:
         for width, height in ((1, 1), (3, 2), (200, 60)):
             drawn = characters(draw(view, "ugv_0", trails, width=width, height=height, wide=wide))
             assert [len(row) for row in drawn] == [width] * height
-    assert (
-        "no position yet"
-        in characters(draw(DriveView(), "ugv_0", trails, width=30, height=4, wide=False))[1]
-    )
+    empty = characters(draw(DriveView(), "ugv_0", trails, width=30, height=4, wide=False))
+    assert "no position yet" in empty[1]
 
 
 class Watching:
@@ -529,37 +447,45 @@ class Watching:
     def view(self) -> DriveView:
         return DriveView(status=status_at(), truth=truth_at(), driver="script", speed=0.2)
 
+    def leave(self) -> None:
+        self.over = True
+
 
 @pytest.mark.parametrize("columns", [44, 120])
-def test_narrow_screen_shows_every_key_and_the_time(columns: int) -> None:
+def test_screen_of_any_width_shows_numbers_keys_and_time(columns: int) -> None:
     from textual.widgets import Static
 
-    from outrider.view.terminal.screen import DriveApp
+    from outrider.view.terminal.screen import DriveApp, TopView
 
     async def shown() -> dict[str, list[str]]:
-        app = DriveApp(Watching(), "flight")  # type: ignore[arg-type]
-        async with app.run_test(size=(columns, 24)) as pilot:
+        app: Any = DriveApp(Watching(), "flight")  # type: ignore[arg-type]
+        async with app.run_test(size=(80, 24)) as pilot:
+            await pilot.resize_terminal(columns, 24)
             await pilot.pause()
             parts = {
-                name: app.query_one(f"#{name}", Static) for name in ("title", "banner", "keys")
+                name: app.query_one(f"#{name}", Static)
+                for name in ("title", "banner", "numbers", "keys")
             }
-            return {
+            lines = {
                 name: [
                     "".join(piece.text for piece in part.render_line(y))
                     for y in range(part.size.height)
                 ]
                 for name, part in parts.items()
             }
+            assert app.query_one(TopView).display is (columns == 120)  # no room for a map
+            await pilot.press("ctrl+c")
+            await pilot.pause(0.3)
+        assert app.return_value == 130
+        return lines
 
     lines = asyncio.run(shown())
-    for key in (
-        "WASD ←↑↓→ drive",
-        "space brake",
-        "+- 0.20 m/s",
-        "h return control",
-        "z zoom",
-        "q quit",
+    for name, texts in (
+        ("keys", ("WASD ←↑↓→ drive", "space brake", "+- 0.20 m/s", "h return control")),
+        ("keys", ("z zoom", "q quit")),
+        ("numbers", ("distance uav_0", " 1.25 m", " +3.50 m", "e(t)", "321.5 m²")),
+        ("numbers", ("real time (target x 1)",)),
+        ("title", ("t = 5.0 s of 200 s",)),
     ):
-        assert any(key in line for line in lines["keys"]), lines
-    assert "t = 5.0 s of 200 s" in lines["title"][0]
+        assert all(any(text in line for line in lines[name]) for text in texts), lines
     assert "takes control" in " ".join(" ".join(lines["banner"]).split())
