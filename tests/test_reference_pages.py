@@ -12,7 +12,6 @@ from bus.keys import KEYS
 from bus.messages.links import LinkSettings
 from bus.observations import SYMBOLS
 from outrider.cli.main import COMMANDS
-from outrider.running.metrics import TABLES
 from pages import PAGES
 from sim.scenario.loading import scenario_names
 from sim.scenario.types import Scenario
@@ -22,9 +21,7 @@ GENERATORS = Path(__file__).resolve().parent.parent / "docs" / "generators"
 
 @pytest.fixture
 def generator(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> ModuleType:
-    if (
-        request.param == "observations"
-    ):  # its page also shows the tables of the extension outrider_learning
+    if request.param == "observations":  # its page also shows the tables of the extension
         pytest.importorskip("outrider_learning", reason="the extension is not installed")
     monkeypatch.syspath_prepend(GENERATORS)
     return importlib.import_module(request.param)
@@ -55,32 +52,17 @@ def test_every_key_and_message_field_is_documented(generator: ModuleType) -> Non
             assert f"| `{field.encode_name}` | " in text
 
 
-@pytest.mark.parametrize("generator", ["metric_tables"], indirect=True)
-def test_every_metric_is_in_the_table_of_its_section(generator: ModuleType) -> None:
-    sections = dict(part.split("\n", 1) for part in f"\n{generator.tables()}".split("\n## ")[1:])
-    assert list(sections) == list(TABLES)
-    for heading, rows in TABLES.items():
-        for metric in rows.values():
-            assert f"| `{metric.name}` | " in sections[heading]
-            assert metric.meaning in sections[heading]
-    assert "`detections_mean_age`, `commands_mean_age`" in sections["Link"]
-
-
 @pytest.mark.parametrize("generator", ["scenario_fields"], indirect=True)
 def test_every_scenario_field_is_documented_in_its_table(generator: ModuleType) -> None:
     text = generator.tables()
     sections = dict(part.split("\n", 1) for part in ("\n" + text).split("\n### ")[1:])
     assert {"`[area]`", "`[law]`", "`[[uav]]`", "`[[ugv]]`", "`[[ugv.script]]`"} <= set(sections)
-    for heading, struct in (
-        ("Top level", Scenario),
-        ("`[links.detections]`", LinkSettings),
-    ):
+    for heading, struct in (("Top level", Scenario), ("`[links.detections]`", LinkSettings)):
         for field in msgspec.structs.fields(struct):
             assert f"| `{field.encode_name}` | " in sections[heading]
     assert "| `duration` | number > 0 | `160.0` | Duration [s], a whole number of ticks. |" in text
-    assert [row.split("`")[1] for row in generator.shipped().splitlines()[2:]] == [
-        *scenario_names()
-    ]
+    rows = generator.shipped().splitlines()[2:]
+    assert [row.split("`")[1] for row in rows] == [*scenario_names()]
 
 
 @pytest.mark.parametrize("generator", ["observations"], indirect=True)

@@ -17,10 +17,9 @@ from bus.messages.scenario import Law
 from bus.registry import LAWS
 from refusals import SHIPPED, SMALL, refusal, written
 from sim.engine.briefing import briefing
-from sim.scenario import checks, world_checks
+from sim.scenario import checks
 from sim.scenario.checks import CHECKS, check_scenario, scenario_warnings
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Scenario, Uav
 from tabular import rows
 
 ESCORT = load_scenario("escort")
@@ -39,7 +38,6 @@ names_are_different | uav.0.name="a\n" | uav.0.name = "a\n" | lower-case letters
 escorts_are_there | uav.0.escorts=ugv_1 | uav.0.escorts = "ugv_1" | ugv_0
 grid_divides_area | area.cell=0.3 | area.cell = 0.3 | a divisor of both sides
 grid_divides_area | area.cell=80.0 | area.cell = 80.0 | a divisor of both sides
-grid_divides_area | area.cell=5e-324 | area.cell = 5e-324 | a divisor of both sides
 grid_divides_area | area.height=40.1 | area.cell = 0.25 | a divisor of both sides
 grid_divides_area | area.cell=0.01 | area.cell = 0.01 | 0.02 m or more
 grid_divides_area | area.width=1e7 | area.width = 10000000.0 | up to 1e+06 m
@@ -51,11 +49,9 @@ time_is_whole | duration=500000.05 | duration = 500000.05 | 10,000,000 ticks at 
 rates_fit_ticks | detections.rate=7 | detections.rate = 7.0 | 20, 10, 6.667, ... 1/s
 rates_fit_ticks | detections.rate=40 | detections.rate = 40.0 | 20, 10, 6.667, ... 1/s
 rates_fit_ticks | detections.rate=1e-6 | detections.rate = 1e-06 | 20, 10, 6.667, ... 1/s
-rates_fit_ticks | detections.rate=5e-324 | detections.rate = 5e-324 | 20, 10, 6.667, ... 1/s
 sight_is_within_range | visibility.radius=5 | visibility.radius = 5.0 | less than sensor.range = 5 m
 points_are_inside | uav.0.position=[40.5, 9] | uav.0.position = [40.5, 9.0] | [0, 40] x [0, 40] m
-points_are_inside | ugv.0.position=[7, -1] | ugv.0.position = [7.0, -1.0] | [0, 40] x [0, 40] m
-points_are_inside | ugv.0.goals.1=[1, 41] | ugv.0.goals.1 = [1.0, 41.0] | [0, 40] x [0, 40] m
+points_are_inside | ugv.0.goals.1=[1, -1] | ugv.0.goals.1 = [1.0, -1.0] | [0, 40] x [0, 40] m
 covered_is_inside | coverage.covered=[{lower=[1, 5], upper=[2, 5]}] | coverage.covered.0.upper.1 = 5.0 | more than 5 m
 covered_is_inside | coverage.covered=[{lower=[1, -5], upper=[2, 5]}] | coverage.covered.0.lower.1 = -5.0
 | y from 0 to 40 m
@@ -80,13 +76,11 @@ links_are_possible | links.radio.burst_length=1.0 | links.radio.burst_interval =
 links_are_possible | links.only=[{vehicle="uav_7"}] | links.only.0.vehicle = "uav_7" | uav_0
 commands_act | links.commands.delay=0.6 | command_timeout = 0.5 | 0.6 s or more
 own_functions_are_named | ugv.0.driver=policy | custom.policy = "" | module:function
-own_functions_are_named | custom.policy=mine | custom.policy = "mine" | module:function
 drivers_have_their_task | ugv.0.driver=script | ugv.0.script = [] | velocity
 drivers_have_their_task | ugv.0.script=[{time=1,velocity=[0,0.1]},{time=1,velocity=[0,0]}] | ugv.0.script.1.time = 1.0
 | increasing times
 own_functions_are_named | law.name=weighted | custom.weighting = "" | module:function
 own_functions_are_named | law.name=path | custom.path = "" | module:function
-own_functions_are_named | custom.path=mine.path | custom.path = "mine.path" | module:function
 own_functions_are_named | custom.path=a..b:c | custom.path = "a..b:c" | module:function
 switching_radius_is_positive | visibility.radius=1.05 | uav.0.max_acceleration = 0.3 | above 0.3048 m/s²
 switching_radius_is_positive | uav.0.max_speed=inf | uav.0.max_speed = inf | finite speeds
@@ -107,7 +101,6 @@ tiles_fit_area | ground.tile=41 & hazard=[{kind="block",center=[1,1],radius=0.2}
 tiles_fit_area | ground.tile=0.2 & hazard=[{kind="block",center=[1,1],radius=0.2}] | ground.tile = 0.2 | 0.25 to 40 m
 tiles_fit_area | ground.tile=0.03 & area.cell=0.025 & hazard=[{kind="block",center=[1,1],radius=0.2}]
 | ground.tile = 0.03 | 0.0404 to 40 m
-hazards_have_a_shape | hazard=[{kind="block"}] | hazard.0.center | [x, y] in m, with radius
 hazards_have_a_shape | hazard=[{kind="block",radius=1}] | hazard.0.center | [x, y] in m, with radius
 hazards_have_a_shape | hazard=[{kind="block",center=[1,1]}] | hazard.0.radius | a number > 0, in m
 hazards_have_a_shape | hazard=[{kind="block",center=[1,1],radius=1,polygon=[[1,1],[2,1],[2,2]]}]
@@ -145,7 +138,6 @@ fields_have_room | hazard_field=[{kind="block",count=9,radius=[1,1],clearance=90
 | a smaller clearance
 altitudes_are_possible | altitude.law=bets | altitude.law = "bets" | fixed, certified, best
 altitudes_are_possible | uav.0.max_climb_rate=2 | uav.0.max_climb_rate = 2.0 | also uav.0.initial_altitude
-altitudes_are_possible | uav.0.vertical_clearance=2 | uav.0.vertical_clearance = 2.0 | also uav.0.initial_altitude
 altitudes_are_possible | uav.0.initial_altitude=14 & uav.0.min_altitude=20 & uav.0.max_altitude=19
 | uav.0.min_altitude = 20.0 | up to uav.0.max_altitude = 19 m
 altitudes_are_possible | uav.0.initial_altitude=0.9 | uav.0.initial_altitude = 0.9 | 1 to 120 m
@@ -160,8 +152,6 @@ uavs_have_an_altitude | building=[{polygon=[[1,1],[2,1],[2,2]],height=3}] | uav.
 uavs_have_an_altitude | building_field=[{block=[4,5],street=4,height=[3,4]}] | uav.0.initial_altitude | a number in m
 building_fields_are_possible | uav.0.initial_altitude=14 & building_field=[{block=[5,4],street=4,height=[3,4]}]
 | building_field.0.block = [5.0, 4.0] | [smallest, largest] in m
-building_fields_are_possible | uav.0.initial_altitude=14 & building_field=[{block=[4,5],street=4,height=[4,3]}]
-| building_field.0.height = [4.0, 3.0] | [smallest, largest] in m
 building_fields_are_possible | uav.0.initial_altitude=14 & building_field=[{block=[4,5],street=1,height=[3,4]}]
 | building_field.0.street = 1.0 | 1.5 m or more
 building_fields_are_possible | uav.0.initial_altitude=14 & ugv.0.building_clearance=1.5
@@ -174,15 +164,6 @@ building_fields_are_possible | uav.0.initial_altitude=14 & ground.tile=0.25
 building_fields_are_possible | uav.0.initial_altitude=14
 & building_field=[{block=[0.1,1],street=1.5,height=[3,4]},{block=[0.1,2],street=1.5,height=[3,4]}]
 | building_field.1.block = [0.1, 2.0] | 1,000 buildings at most
-building_fields_are_possible | uav.0.initial_altitude=14 & uav.0.min_altitude=14 & area.width=1e5 & area.height=1e5
-& area.cell=50 & ground.tile=50 & camera.half_angle=1.5 & building_field=[{block=[0.1,1],street=150,height=[3,4]}]
-| building_field.0.block = [0.1, 1.0] | 1,000 buildings at most
-buildings_have_a_shape | uav.0.initial_altitude=14 & building=[{polygon=[],height=3}]
-| building.0.polygon = [] | three or more
-buildings_have_a_shape | uav.0.initial_altitude=14 & building=[{polygon=[[1,1],[2,1]],height=3}]
-| building.0.polygon = [[1.0, 1.0], [2.0, 1.0]] | three or more
-buildings_have_a_shape | uav.0.initial_altitude=14 & building=[{polygon=[[1,1],[2,1],[1,1.0005]],height=3}]
-| building.0.polygon = [[1.0, 1.0], [2.0, 1.0], [1.0, 1.0005]] | more than a millimetre apart
 buildings_have_a_shape | uav.0.initial_altitude=14 & building=[{polygon=[[1,1],[2,2],[2,1],[1,2]],height=3}]
 | building.0.polygon = [[1.0, 1.0], [2.0, 2.0], [2.0, 1.0], [1.0, 2.0]] | in order around the polygon
 buildings_have_a_shape | uav.0.initial_altitude=14 & building=[{polygon=[[38,1],[41,1],[38,2]],height=3}]
@@ -223,8 +204,6 @@ circle_is_within_sight | law.name=circle & uav.0.max_acceleration=inf
 def test_refusal_names_file_field_value_and_allowed_values(
     check, overrides, field, allowed
 ) -> None:
-    if "goals" not in overrides[0] and overrides[0].startswith("ugv.0.position"):
-        overrides = [*overrides, "uav.0.position=[7, 1]"]
     line = refusal(overrides=overrides)
     head, _, rest = line.partition("; allowed: ")
     assert head.startswith(f"escort: {field}")
@@ -237,14 +216,7 @@ def test_every_check_has_a_row_above() -> None:
 
 
 @pytest.mark.parametrize(
-    "path",
-    [
-        "law.parameters.circle_rate",
-        "uav.0.max_speed",
-        "uav.0.position.1",
-        "ugv.0.goals.2.0",
-        "command_timeout",
-    ],
+    "path", ["law.parameters.circle_rate", "uav.0.max_speed", "ugv.0.goals.2.0"]
 )
 @pytest.mark.parametrize("value", ["nan", "-nan", "-inf"])
 def test_nan_and_minus_infinity_are_refused_everywhere(path: str, value: str) -> None:
@@ -253,25 +225,9 @@ def test_nan_and_minus_infinity_are_refused_everywhere(path: str, value: str) ->
     )
 
 
-def test_the_check_of_numbers_does_not_rely_on_the_types() -> None:
-    for broken in (
-        msgspec.structs.replace(ESCORT, dt=math.nan),
-        msgspec.structs.replace(ESCORT, uav=(Uav(position=(7.0, math.nan)),)),
-        msgspec.structs.replace(ESCORT, law=Law(parameters={"circle_rate": math.inf})),
-        msgspec.structs.replace(ESCORT, uav=(Uav(position=(7.0, 9.0), max_speed=math.nan),)),
-    ):
-        assert len(list(world_checks.numbers_are_finite(broken))) == 1
-
-
 def test_infinite_bounds_are_allowed_for_vehicles() -> None:
-    s = load_scenario(
-        "escort",
-        overrides=[
-            "uav.0.max_speed=inf",
-            "uav.0.max_acceleration=inf",
-            "law.parameters.reference_speed=0.6",
-        ],
-    )
+    bounds = ["uav.0.max_speed=inf", "uav.0.max_acceleration=inf"]
+    s = load_scenario("escort", overrides=[*bounds, "law.parameters.reference_speed=0.6"])
     assert s.uav[0].max_speed == s.uav[0].max_acceleration == math.inf
     assert load_scenario("escort", overrides=["law.name=tracking", "uav.0.max_speed=inf"])
 
@@ -283,66 +239,43 @@ def test_a_scenario_may_have_the_parameters_of_several_laws() -> None:
 
 CHANGES = [
     *rows(r"""
-dt="fast" | dt = "fast": not a number; allowed: a number
 dt=true | dt = true: not a number; allowed: a number
 dt=-1 | dt = -1: out of bounds; allowed: a number > 0.0
 duration=1e400 | duration = inf: out of bounds; allowed: a number <= 1000000000000.0
 seed=1.5 | seed = 1.5: not a whole number; allowed: a whole number
-seed=-1 | seed = -1: out of bounds; allowed: a whole number >= 0
-title=5 | title = 5: not text; allowed: text
 title=2020-01-01 | title = 2020-01-01: not text; allowed: text
-detections.truncation=0 | detections.truncation = 0: out of bounds; allowed: a number > 0
 detections.dropout=2 | detections.dropout = 2: out of bounds; allowed: a number <= 1.0
 law={name="lookahead",parameters={horizon=0.1}}
 | law.parameters.horizon = 0.1: out of bounds; allowed: a number >= 0.5
-law={name="lookahead",parameters={horizon=1e3}}
-| law.parameters.horizon = 1000.0: out of bounds; allowed: a number <= 60.0
-law={name="lookahead",parameters={candidates=0}}
-| law.parameters.candidates = 0: out of bounds; allowed: a whole number >= 1
-law={name="lookahead",parameters={candidates=10001}}
-| law.parameters.candidates = 10001: out of bounds; allowed: a whole number <= 10000
 law={name="lookahead",parameters={candidates=2.5}}
 | law.parameters.candidates = 2.5: not a whole number; allowed: a whole number
 law.parameters.reference_speed=x | law.parameters.reference_speed = "x": not a number, or true or false
 estimator.enabled=1 | estimator.enabled = 1: not true or false; allowed: true or false
 links.profile=wify | links.profile = "wify": unknown profile, did you mean 'wifi'?
-links.detections.delay=31 | links.detections.delay = 31: out of bounds; allowed: a number <= 30.0
-links.detections.speed=3 | links.detections.speed = 3: unknown field
-links.detections.loss=1.5 | links.detections.loss = 1.5: out of bounds
-links.commands.delay=nan | links.commands.delay = nan
 links.everything.delay=1 | links.everything = {delay = 1}: unknown field
 links.commands=3 | links.commands = 3: not a table
-links.only=[{vehicle="uav_7"}] | links.only.0.vehicle = "uav_7": no vehicle has this name
 uav.0.position=[1, 2, 3] | uav.0.position = [1, 2, 3]: out of bounds; allowed: a list of length 2
 uav.0.position=[1, true] | uav.0.position.1 = true: not a number; allowed: a number
 uav.0.name=UAV | uav.0.name = "UAV": not a name; allowed: lower-case letters
 ugv=[] | ugv = []: out of bounds; allowed: a list of length >= 1
 uav={position=[1, 2]} | uav = {position = [1, 2]}: a single table; allowed: a list, in TOML [[uav]]
 coverage.covered=[{lower=[1, 1]}] | coverage.covered.0.upper: missing; allowed: [x, y] in m
-building=[{polygon=[[1,1],[2,1],[2,2]]}] | building.0.height: missing; allowed: a number in m
-building=[{height=3}] | building.0.polygon: missing; allowed: [[x, y], [x, y], [x, y], ...] in m
 building=[{height=0,polygon=[]}] | building.0.height = 0: out of bounds; allowed: a number > 0
 building_field=[{block=[4,5],street=4}] | building_field.0.height: missing; allowed: [smallest, largest] in m
 building_field=[{block=[0.01,5],street=4,height=[3,4]}] | building_field.0.block.0 = 0.01: out of bounds
 camera.half_angle=1.6 | camera.half_angle = 1.6: out of bounds; allowed: a number < 1.57079
 camera.half_angle=0 | camera.half_angle = 0: out of bounds; allowed: a number > 0
-uav.0.initial_altitude=-1 | uav.0.initial_altitude = -1: out of bounds; allowed: a number >= 0
 uav.0.initial_altitude=inf | uav.0.initial_altitude = inf: out of bounds; allowed: a number <= 100000
 sead=3 | sead = 3: unknown field, did you mean 'seed'?; allowed: name, title, seed, duration, dt
 hold=1.0 | hold = 1.0: renamed to command_timeout
-certificate.outage=2.0 | certificate.outage = 2.0: renamed to max_command_interval
-uav.0.own_error=0.1 | uav.0.own_error = 0.1: renamed to position_error; allowed: uav.0.position_error
 links.commands.jitter_cut=0.1 | links.commands.jitter_cut = 0.1: renamed to max_jitter
 certificate.risk=0.01
 | certificate.risk = 0.01: unknown field; allowed: the bounds printed by `outrider network bounds SCENARIO --risk
 law.nmae=circle | law.nmae = "circle": unknown field, did you mean 'name'?; allowed: name, parameters
 law.speed_gain=2 | law.speed_gain = 2: unknown field, did you mean 'law.parameters.speed_gain'?
-uav.0.max_sped=1 | uav.0.max_sped = 1: unknown field, did you mean 'max_speed'?; allowed: name, escorts, position
-area.celll=1 | area.celll = 1: unknown field, did you mean 'cell'?; allowed: width, height, cell
 coverage.covered=[{lower=[1, 1], uper=[2, 2]}]
 | coverage.covered.0.uper = [2, 2]: unknown field, did you mean 'upper'?; allowed: lower, upper
 duration | --set = "duration": not of the form key=value; allowed: key=value, such as
-=3 | --set = "=3": not of the form key=value
 law..name=x | --set = "law..name=x": not of the form key=value
 uav.1.max_speed=1 | uav.1.max_speed = 1: uav has no entry "1"; allowed: uav.0
 uav.²=1 | uav.² = 1: uav has no entry "²"; allowed: uav.0
@@ -353,7 +286,6 @@ dt=0.3 | duration = 200.0: not a whole number of ticks; allowed: multiples of dt
 """),
     [f"seed={'1' * 5000}", 'seed = "111'],
     [f"seed=0x{'f' * 9000}", "seed = 0xfff"],
-    [f"dt=0x{'f' * 9000}", "dt = 0xfff"],
 ]
 
 
@@ -390,20 +322,10 @@ def test_a_broken_file_is_refused_with_its_name_and_the_place(content, rest, tmp
     assert refusal(path).startswith(f"{path}: {rest}")
 
 
-def test_an_unreadable_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreadable_file_is_refused(tmp_path: Path) -> None:
     assert refusal(tmp_path).startswith(f"{tmp_path}: cannot be read: Is a directory")
     assert refusal("a\0b").startswith("a\\x00b: cannot be read")
     assert "cannot be read" in refusal("x" * 5000)
-
-    def denied(_path: Path, _most: int) -> bytes:
-        raise PermissionError(13, "Permission denied")
-
-    path = written(tmp_path, SMALL.encode())
-    monkeypatch.setattr("sim.scenario.loading.read_regular", denied)
-    assert (
-        refusal(path)
-        == f"{path}: cannot be read: Permission denied; allowed: a TOML file of 1 MiB at most"
-    )
 
 
 @pytest.mark.parametrize("source", ["escrot", "no-such.toml", "/no/such/folder/escort.toml"])
@@ -446,22 +368,18 @@ PATHS = paths(msgspec.to_builtins(ESCORT))
 
 
 def must_load_or_be_refused_in_one_line(source, overrides=()) -> None:
-    refused = ""
+    line = ""
     try:
         scenario = load_scenario(source, overrides=overrides)
     except ScenarioError as error:
-        refused = str(error)
-    assert len(refused.splitlines()) <= 1
-    assert refused.isprintable()
-    if not refused:
-        assert check_scenario(scenario) == scenario
-        scenario_warnings(scenario)
-        assert_briefings_can_be_sent(scenario)
-
-
-def assert_briefings_can_be_sent(scenario: Scenario) -> None:
-    """Check that the briefings of a valid scenario fit the bounds of the messages."""
-    for vehicle in scenario.vehicles:
+        line = str(error)
+    assert len(line.splitlines()) <= 1
+    assert line.isprintable()
+    if line:
+        return
+    assert check_scenario(scenario) == scenario
+    scenario_warnings(scenario)
+    for vehicle in scenario.vehicles:  # its briefing fits the bounds of the messages
         briefed = briefing(scenario, vehicle.name, scenario.seed)
         assert msgspec.json.decode(msgspec.json.encode(briefed), type=type(briefed)) == briefed
 
