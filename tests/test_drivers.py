@@ -17,11 +17,9 @@ from agents.drivers.compiled import (
     NavigateDriver,
     driver_parameters,
 )
-from agents.drivers.evade import away, flee, receive_radio
-from agents.drivers.parameters import UgvParameters, ugv_parameters
 from agents.drivers.policy import PolicyDriver
 from agents.drivers.teleop import TeleopDriver
-from agents.ugv import Driver, UgvPilot
+from agents.ugv import Driver
 from bus.errors import ScenarioError
 from bus.messages.ground import UgvGround
 from bus.messages.scenario import Area, Limits, ScriptStep
@@ -32,26 +30,23 @@ from bus.messages.vehicle import (
     UgvCommand,
     UgvObservation,
 )
-from bus.ticks import tick_of
 from flights import DT, R_V, U_G, V_A, V_G, distances, ugv_briefing
-from outrider.running.flying import InProcess, make_pilots
+from outrider.running.flying import fly
 from properties import PROPERTY
 from seeded import key_text
-from sim.compiling.records import records
-from sim.engine.briefing import briefing
 from sim.models.ground import CLEAR
-from sim.models.vehicles import Motion, step_vehicle
+from sim.models.vehicles import step_vehicle
 from sim.scenario.loading import load_scenario
-from sim.server.flight import Flight
 
 Point = tuple[float, float]
 Messages = Callable[[int, Point], dict[str, Any]]
 """The messages to a UGV at a tick and position: fields of its observation."""
 
 MIDDLE = (10.0, 10.0)
-waypoints, wander, script, evade = (
-    partial(CompiledDriver, name=name) for name in ("waypoints", "wander", "script", "evade")
-)
+COMPILED = {
+    name: partial(CompiledDriver, name=name) for name in ("waypoints", "wander", "script", "evade")
+}
+wander, script, evade = (COMPILED[name] for name in ("wander", "script", "evade"))
 
 
 def _goal(driver: CompiledDriver) -> Point | None:
@@ -81,29 +76,17 @@ def _wild(observation: UgvObservation, _context: UgvBriefing) -> list[float]:
     return [size * math.cos(observation.tick), -size * math.sin(7 * observation.tick)]
 
 
-def _policy(briefed: UgvBriefing) -> PolicyDriver:
-    return PolicyDriver(briefed, policy=_wild, name="tests:_wild")
-
-
 def _on_clear_ground(briefed: UgvBriefing) -> NavigateDriver:
     driver = NavigateDriver(briefed)
     driver.ground.tiles[:] = CLEAR
     return driver
 
 
-DRIVERS: dict[str, Callable[[UgvBriefing], Driver]] = {
-    "waypoints": waypoints,
-    "wander": wander,
-    "script": script,
-    "evade": evade,
+DRIVERS: dict[str, Callable[[UgvBriefing], Driver]] = COMPILED | {
     "navigate": _on_clear_ground,
     "teleop": TeleopDriver,
-    "policy": _policy,
+    "policy": partial(PolicyDriver, policy=_wild, name="tests:_wild"),
 }
-
-
-def _nothing(_tick: int, _place: Point) -> dict[str, Any]:
-    return {}
 
 
 def _observe(tick, state, received, dt=DT):
@@ -111,7 +94,9 @@ def _observe(tick, state, received, dt=DT):
     return UgvObservation(tick=tick, time=tick * dt, **own, **received)
 
 
-def _drive(driver, count, *, start=MIDDLE, velocity=(0.0, 0.0), begin=0, dt=DT, receives=_nothing):
+def _drive(
+    driver, count, *, start=MIDDLE, velocity=(0.0, 0.0), begin=0, dt=DT, receives=lambda *_: {}
+):
     """Return position, velocity and command at each tick, limited only by the driver, and its observations."""
     state, rows, seen = (*start, *velocity), [], []
     for tick in range(begin, begin + count):
@@ -121,12 +106,6 @@ def _drive(driver, count, *, start=MIDDLE, velocity=(0.0, 0.0), begin=0, dt=DT, 
         *state, _, _ = step_vehicle(*state, *u, math.inf, math.inf, dt)
     rows.append((*state, 0.0, 0.0))
     return np.array(rows), seen
-
-
-def _assert_within(rows: np.ndarray, v_max: float, u_max: float) -> None:
-    assert np.isfinite(rows).all()
-    assert np.hypot(rows[:, 4], rows[:, 5]).max() <= u_max * (1.0 + 1e-12)
-    assert np.hypot(rows[:, 2], rows[:, 3]).max() <= v_max * (1.0 + 1e-12)
 
 
 anywhere = st.floats(-1e6, 1e6, allow_nan=False)
@@ -143,13 +122,13 @@ radios = st.builds(
     relative_position=relatives,
     coverage_error=st.just(1.0),
 )
-received_at_once = {
-    "operator": st.lists(drives, max_size=2).map(tuple),
-    "radio": st.lists(radios, max_size=2).map(tuple),
-}
-receptions = st.dictionaries(
-    st.integers(0, 59), st.fixed_dictionaries(received_at_once), max_size=25
+received_at_once = st.fixed_dictionaries(
+    {
+        "operator": st.lists(drives, max_size=2).map(tuple),
+        "radio": st.lists(radios, max_size=2).map(tuple),
+    }
 )
+receptions = st.dictionaries(st.integers(0, 59), received_at_once, max_size=25)
 speeds = st.sampled_from((0.05, V_G, 1.0, 5.0))
 accelerations = st.sampled_from((0.05, U_G, 1.0, 10.0, math.inf))
 steps = st.sampled_from((0.02, DT, 0.2))
@@ -169,7 +148,9 @@ def test_drivers_keep_the_bounds_whatever_they_observe(
     driver = DRIVERS[name](_briefing(v_max=v_max, u_max=u_max, dt=dt))
     initial = {"start": start, "velocity": _velocity(heading, v_max), "begin": begin, "dt": dt}
     rows, _ = _drive(driver, 60, **initial, receives=lambda tick, _: received.get(tick - begin, {}))
-    _assert_within(rows, v_max, u_max)
+    assert np.isfinite(rows).all()
+    assert np.hypot(rows[:, 4], rows[:, 5]).max() <= u_max * (1.0 + 1e-12)
+    assert np.hypot(rows[:, 2], rows[:, 3]).max() <= v_max * (1.0 + 1e-12)
 
 
 @pytest.mark.parametrize("name", [name for name in DRIVERS if name != "waypoints"])
@@ -181,19 +162,6 @@ def test_unbounded_ugv_gets_commands_a_message_can_hold(name, received, v_max):
         seen = _observe(tick, (*MIDDLE, 0.1, -0.1), received.get(tick, {}))
         command = UgvCommand(tick=tick, acceleration=driver.drive(seen))
         assert msgspec.json.decode(msgspec.json.encode(command), type=UgvCommand) == command
-
-
-@given(st.lists(st.sampled_from(sorted(DRIVERS)), min_size=2, max_size=5), receptions)
-@settings(PROPERTY, max_examples=40)
-def test_driver_changes_in_flight_keep_the_bounds(names, received):
-    at, velocity = MIDDLE, (0.0, 0.0)
-    for turn, name in enumerate(names):
-        initial = {"start": at, "velocity": velocity, "begin": 60 * turn}
-        receives = lambda tick, _: received.get(tick % 60, {})  # noqa: E731
-        rows, _ = _drive(DRIVERS[name](_briefing()), 60, **initial, receives=receives)
-        _assert_within(rows, V_G, U_G)
-        assert np.hypot(*np.diff(rows[:, 2:4], axis=0).T).max() <= U_G * DT * (1.0 + 1e-9)
-        at, velocity = tuple(rows[-1, :2]), tuple(rows[-1, 2:4])
 
 
 @pytest.mark.parametrize("name", DRIVERS)
@@ -214,20 +182,7 @@ def test_driver_briefed_with_its_past_gives_the_same_bits(name, received, begin)
 # parameters
 
 
-@pytest.mark.parametrize(
-    ("v_max", "u_max"), [(0.2, 0.02), (V_G, U_G), (math.inf, math.inf)], ids=str
-)
-def test_the_wanderers_goals_keep_its_margin(v_max: float, u_max: float) -> None:
-    driver = wander(_briefing(v_max=v_max, u_max=u_max))
-    speed, margin = driver.parameters.speed, driver.parameters.margin
-    assert margin == pytest.approx(speed**2 / min(u_max, 1e6) + 2.0 * speed * DT, rel=1e-12)
-    assert _goal(driver) is None
-    driver.drive(_observe(0, (*MIDDLE, 0.0, 0.0), {}))
-    x, y = _goal(driver) or (0.0, 0.0)
-    assert min(x, y, 20.0 - x, 20.0 - y) >= margin
-
-
-@pytest.mark.parametrize("name", ["teleop", "policy", "external", "nobody", ""])
+@pytest.mark.parametrize("name", ["teleop", "external", "nobody"])
 def test_a_driver_without_a_compiled_form_is_refused_in_one_line(name: str) -> None:
     allowed = "waypoints, wander, script, evade, navigate"
     phrase = rf"^driver = '{name}': has no compiled form; allowed: {allowed}$"
@@ -237,9 +192,7 @@ def test_a_driver_without_a_compiled_form_is_refused_in_one_line(name: str) -> N
 
 def test_an_area_of_too_many_tiles_is_refused_in_one_line() -> None:
     ground = UgvGround(tile=0.5, sensing_range=0.75, caution="cautious", rough_speed_share=0.4)
-    phrase = (
-        r"^ground.tile = 0.5: divides the area into 3.6e\+07 tiles; allowed: at most 1,000,000$"
-    )
+    phrase = r"^ground.tile = 0.5: divides .* 3.6e\+07 tiles; allowed: at most 1,000,000$"
     with pytest.raises(ScenarioError, match=phrase):
         NavigateDriver(ugv_briefing(area=Area(width=1e6, height=9.0, cell=0.5), ground=ground))
 
@@ -249,13 +202,9 @@ def test_an_area_of_too_many_tiles_is_refused_in_one_line() -> None:
 FULL = Teleoperation(operator="somebody", velocity=(V_G, 0.0))
 
 
-def _sends(**messages: Teleoperation) -> Messages:
-    """Return the messages of an operator at some ticks: `t3=...`."""
-    return lambda tick, _: {"operator": (messages[f"t{tick}"],)} if f"t{tick}" in messages else {}
-
-
-def _received_once(messages: tuple[Teleoperation, ...]) -> Messages:
-    return lambda tick, _: {"operator": messages} if tick == 0 else {}
+def _once(*messages: Teleoperation, at: int = 0) -> Messages:
+    """Return the messages of an operator at one tick."""
+    return lambda tick, _: {"operator": messages} if tick == at else {}
 
 
 def _ticks_to_rest(v_max: float, u_max: float, dt: float) -> int:
@@ -272,10 +221,8 @@ def test_ugv_stops_when_the_operator_falls_silent(
 ) -> None:
     driver = TeleopDriver(_briefing(v_max=v_max, u_max=u_max, dt=dt, command_timeout=hold))
     still = 1 + round(hold / dt) + _ticks_to_rest(v_max, u_max, dt)
-    receives = _received_once(tuple(messages))
-    rows, _ = _drive(
-        driver, still + 50, velocity=_velocity(heading, v_max), dt=dt, receives=receives
-    )
+    moving = {"velocity": _velocity(heading, v_max), "dt": dt}
+    rows, _ = _drive(driver, still + 50, **moving, receives=_once(*messages))
     assert np.abs(rows[still:, 2:4]).max() <= 1e-12 * v_max
     assert np.ptp(rows[still:, :2], axis=0).max() <= 1e-9
 
@@ -283,7 +230,7 @@ def test_ugv_stops_when_the_operator_falls_silent(
 def test_teleoperation_expires_at_the_exact_tick() -> None:
     for since in range(60):  # tick * dt rounds differently at each tick
         driver = TeleopDriver(_briefing(command_timeout=0.5))
-        receives = _sends(**{f"t{since}": FULL})
+        receives = _once(FULL, at=since)
         rows, _ = _drive(driver, 20, velocity=(0.1, 0.0), begin=since, receives=receives)
         assert (rows[:11, 4] > 0.0).all()
         assert rows[11, 4] == pytest.approx(-U_G, rel=1e-9)
@@ -320,15 +267,11 @@ def test_a_living_operators_goal_is_reached_and_stood_on(goal: Point) -> None:
 
 
 def test_missing_operator_and_empty_teleoperation_both_brake() -> None:
-    silent, _ = _drive(TeleopDriver(_briefing()), 80, velocity=(V_G, 0.0))
-    nothing = Teleoperation(operator="somebody")
-    empty, _ = _drive(
-        TeleopDriver(_briefing()), 80, velocity=(V_G, 0.0), receives=_sends(t0=nothing)
-    )
-    stopped, _ = _drive(TeleopDriver(_briefing()), 80, receives=_sends(t0=FULL, t5=nothing))
-    for rows in (silent, empty, stopped):
+    for messages in ((), (Teleoperation(operator="somebody"),)):
+        receives = _once(*messages)
+        rows, _ = _drive(TeleopDriver(_briefing()), 80, velocity=(V_G, 0.0), receives=receives)
         assert np.abs(rows[-30:, 2:4]).max() <= 1e-15
-    assert silent[-1, 0] - MIDDLE[0] == pytest.approx(V_G**2 / (2.0 * U_G), abs=V_G * DT)
+        assert rows[-1, 0] - MIDDLE[0] == pytest.approx(V_G**2 / (2.0 * U_G), abs=V_G * DT)
 
 
 # script
@@ -434,43 +377,15 @@ def _shadowed(place: Callable[[float], Point]) -> Messages:
     return receives
 
 
-class _Straight:
-    """The evader without its random turns, which would hide the reaction, and without the wanderer."""
-
-    def __init__(self, briefed: UgvBriefing) -> None:
-        ugv = ugv_parameters(briefed, unbounded=False)
-        self._driver = evade(briefed)
-        self._p = (
-            records(UgvParameters, [ugv])[0],
-            records(type(self._driver.parameters), [self._driver.parameters])[0],
-            self._driver.memory,
-        )
-
-    def drive(self, observation: UgvObservation) -> Point:
-        p, tick = self._p, observation.tick
-        here = Motion(*observation.position, *observation.velocity)
-        rows_of_radio = [
-            (tick_of(one.time, DT), *one.relative_position) for one in observation.radio
-        ]
-        radio = np.array(rows_of_radio, dtype=np.float64)
-        receive_radio(*p, radio.reshape(-1, 3), len(radio), tick, here)
-        x, y = away(*p, tick, here)
-        return flee(*p, x, y, tick, here)
-
-
-def test_it_leaves_behind_a_uav_that_flies_off() -> None:
-    rows, _ = _drive(
-        _Straight(_briefing()), 100, receives=_shadowed(lambda t: (9.0 - 0.6 * t, 10.0))
-    )
-    assert rows[-1, 2:4] == pytest.approx((V_G, 0.0), abs=1e-3)
-
-
-def test_evader_reverses_only_while_the_uav_approaches_fast() -> None:
-    rows, _ = _drive(
-        _Straight(_briefing()), 160, receives=_shadowed(lambda t: (7.0 + 0.6 * t, 10.0))
-    )
-    assert rows[15, 2] > 0.02  # no information about the UAV's speed yet
-    assert rows[130:, 2].max() < -0.95 * V_G
+@pytest.mark.parametrize(("start", "speed"), [(9.0, -0.6), (7.0, 0.6)], ids=["leaves", "comes"])
+def test_evader_reverses_only_while_the_uav_approaches_fast(start: float, speed: float) -> None:
+    receives = _shadowed(lambda t: (start + speed * t, 10.0))
+    rows, _ = _drive(evade(_briefing()), 160, receives=receives)  # before its first sharp turn
+    if speed < 0.0:
+        assert rows[-1, 2:4] == pytest.approx((V_G, 0.0), abs=1e-3)
+    else:
+        assert rows[15, 2] > 0.02  # no information about the UAV's speed yet
+        assert rows[130:, 2].max() < -0.95 * V_G
 
 
 def test_message_time_between_ticks_is_ignored() -> None:
@@ -523,15 +438,6 @@ def test_it_neither_runs_into_the_border_nor_gets_stuck_there(
     assert min(pace[k : k + lasting].max() for k in range(0, 2501 - lasting, 50)) > 0.5 * speed
 
 
-def test_a_corner_is_left_again() -> None:
-    rows, _ = _drive(evade(_briefing()), 20000, receives=_shadowed(lambda t: (14.0, 14.5)))
-    corner = np.hypot(rows[:, 0], rows[:, 1])
-    arrived = int(np.argmax(corner < 2.0))
-    assert 0 < arrived < 5000
-    assert corner[arrived:].max() > 3.0
-    assert np.hypot(rows[:, 2], rows[:, 3])[arrived:].mean() > 0.5 * V_G
-
-
 def test_evader_wanders_while_the_uav_is_silent() -> None:
     receives = _shadowed(lambda t: (9.0, 10.0))
     evader, wanderer = evade(_briefing()), wander(_briefing())
@@ -543,26 +449,12 @@ def test_evader_wanders_while_the_uav_is_silent() -> None:
         assert same == (tick < 101 or tick > 149 + 100)  # exactly five seconds
 
 
-def _flown(law: str, driver: Callable[[UgvBriefing], Driver], seed: int, **changes: Any) -> Flight:
-    scenario = load_scenario("escort", overrides={"law.name": law} | changes)
-    pilots, briefed = make_pilots(scenario, seed), briefing(scenario, "ugv_0", seed)
-    pilots["ugv_0"] = UgvPilot(briefed, driver=driver(briefed))
-    flight = Flight(scenario, seed)
-    flight.fly(InProcess(pilots))
-    return flight
-
-
-def test_evader_gets_further_away_than_the_papers_driver() -> None:
-    evading, papers = (
-        distances(_flown("linear", driver, 7)).max() for driver in (evade, waypoints)
-    )
-    assert evading > papers
-    assert evading < 4.75
-
-
 @pytest.mark.parametrize("law", ["linear", "switching", "logarithmic"])
-def test_evader_exceeds_r_v_by_one_tick_at_most(law: str) -> None:
-    clear = {"detections.noise": 0.0, "detections.dropout": 0.0}
-    furthest = distances(_flown(law, evade, 7, **clear)).max()
+def test_evader_gets_further_away_and_exceeds_r_v_by_one_tick(law: str) -> None:
+    clear = {"law.name": law, "detections.noise": 0.0, "detections.dropout": 0.0}
+    papers, evading = (
+        distances(fly(load_scenario("escort", overrides=clear | {"ugv.0.driver": driver}), 7)[0])
+        for driver in ("waypoints", "evade")
+    )
     # (18) is continuous in time, but r_s is crossed between two ticks
-    assert furthest < R_V + (V_A + V_G) * DT
+    assert papers.max() < evading.max() < R_V + (V_A + V_G) * DT

@@ -15,7 +15,6 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from agents.drivers.cautious import (
-    Open,
     braking_distance,
     is_safe,
     open_from,
@@ -32,7 +31,6 @@ from agents.drivers.planning import (
     continue_search,
     has_path,
     next_tile,
-    price_of,
     start_search,
 )
 from agents.drivers.tile_map import occupancy_grid, record_block, record_tiles
@@ -106,18 +104,28 @@ def _by_library(memory: Any, tile: float, goal: int) -> Any:
 # the plan
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_plan_cost_matches_a_library_for_any_tiles_per_tick(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(12))
+def test_plan_matches_a_library_for_any_tiles_per_tick(seed: int) -> None:
+    """Of several next tiles with equal costs, the plan has the first one."""
     rng = np.random.default_rng(seed)
     rows, columns = (int(n) for n in rng.integers(2, 25, 2))
     memory, tile = _random_map(rng, rows, columns), float(rng.uniform(0.1, 1.0))
+    if seed % 3 == 0:
+        memory.tiles[memory.tiles != BLOCK] = CLEAR
     goal = int(rng.integers(rows * columns))
+    memory.tiles.flat[goal] = BLOCK if seed % 2 else CLEAR
     assert math.isinf(_plan(memory, tile, goal))
-    expected = _by_library(memory, tile, goal)
-    np.testing.assert_allclose(_costs(memory), expected, rtol=0.0, atol=1e-9)
-    cost, way = _costs(memory).tobytes(), memory.path.copy()
+    costs, path = _costs(memory), memory.path.copy()
+    np.testing.assert_allclose(costs, _by_library(memory, tile, goal), rtol=0.0, atol=1e-9)
+    reached, onward = np.isfinite(costs), dict[int, list[tuple[float, int]]]()
+    for n, m, cost in _steps(memory, tile, goal):
+        onward.setdefault(n, []).append((float(costs[m]) + cost, m))
+    for n, ways in onward.items():
+        assert has_path(path, n) == reached[n]
+        following = min(ways)[1] if reached[n] and n != goal else n
+        assert next_tile(path, columns, n) == following
     _plan(memory, tile, goal, most=int(rng.integers(1, 9)))
-    assert (_costs(memory).tobytes(), memory.path.tobytes()) == (cost, way.tobytes())
+    assert (_costs(memory).tobytes(), memory.path.tobytes()) == (costs.tobytes(), path.tobytes())
 
 
 def test_a_search_settles_no_more_tiles_in_a_tick_than_it_may() -> None:
@@ -142,52 +150,6 @@ def test_early_search_end_has_exact_costs_so_far() -> None:
         assert known.sum() >= (full <= settled).sum()
 
 
-def test_cheapest_path_cuts_no_blocked_corner() -> None:
-    memory = occupancy_grid(3, 3)
-    memory.tiles[:] = CLEAR
-    memory.tiles[0, 1] = memory.tiles[1, 1] = BLOCK
-    _plan(memory, 1.0, 2)
-    way = [0]
-    while way[-1] != 2:
-        way.append(next_tile(memory.path, 3, way[-1]))
-    assert way == [0, 3, 6, 7, 8, 5, 2]
-    assert next_tile(memory.path, 3, 2) == 2
-    memory.tiles[2, 1] = BLOCK
-    _plan(memory, 1.0, 2)
-    assert not has_path(memory.path, 0)
-    assert next_tile(memory.path, 3, 0) == 0
-
-
-def test_each_ground_has_its_price() -> None:
-    memory = occupancy_grid(1, 7)
-    memory.tiles[0] = [CLEAR, UNSEEN, ROUGH, FOUND, CLEAR, CLEAR, BLOCK]
-    _plan(memory, 1.0, 0)
-    prices = [price_of(ROUGH_PRICE, int(byte)) for byte in memory.path]
-    assert prices == [1.0, 1.5, 2.5, 1.0, 1.0, 1.5, math.inf]
-    assert _costs(memory).tolist() == [0.0, 1.25, 3.25, 5.0, 6.0, 7.25, math.inf]
-
-
-def test_a_goal_in_a_blocked_tile_is_approached() -> None:
-    memory = occupancy_grid(1, 3)
-    memory.tiles[0] = [BLOCK, CLEAR, CLEAR]
-    _plan(memory, 1.0, 0)
-    assert _costs(memory).tolist() == [0.0, 1.5, 2.75]
-
-
-def test_equal_costs_choose_the_first_tile() -> None:
-    memory = occupancy_grid(9, 9)
-    memory.tiles[:] = CLEAR
-    memory.tiles[2, 3:7] = ROUGH
-    _plan(memory, 1.0, 40)
-    onward: dict[int, list[tuple[float, int]]] = {}
-    for n, m, cost in _steps(memory, 1.0, 40):
-        onward.setdefault(n, []).append((float(memory.cost[m]) + cost, m))
-    best = [min(onward[n])[1] for n in range(81)]
-    best[40] = 40
-    assert [next_tile(memory.path, 9, n) for n in range(81)] == best
-    assert sum(sorted(one)[0][0] == sorted(one)[1][0] for one in onward.values()) > 20
-
-
 # the map
 
 
@@ -206,11 +168,6 @@ def test_bumper_precedes_radio_and_blocked_precedes_clear() -> None:
     record_block(memory, 1, 1, np.full(64, CLEAR, np.uint8))  # most of it is outside the map
     assert (memory.tiles[8, 8:] == CLEAR).all()
     assert (memory.tiles == UNSEEN).sum() == 90 - 64 - 2
-
-
-def test_a_map_of_negative_size_is_refused() -> None:
-    with pytest.raises(ValueError, match="negative"):
-        occupancy_grid(3, -1)
 
 
 # the geometry
@@ -272,29 +229,19 @@ def test_the_braking_way_is_what_braking_takes() -> None:
 
 
 def _on_tiles(**numbers: float) -> Any:
-    p = _parameters(
-        width=8.0,
-        height=8.0,
-        tile=1.0,
-        max_speed=2.0,
-        max_acceleration=1.0,
-        dt=0.1,
-        rough_share=0.2,
-    )
-    return p._replace(**numbers)  # type: ignore[arg-type]
+    plain = {"width": 8.0, "height": 8.0, "tile": 1.0, "dt": 0.1, "rough_share": 0.2}
+    return _parameters(**plain | {"max_speed": 2.0, "max_acceleration": 1.0} | numbers)
 
 
 def test_fastest_safe_speed_just_allows_a_stop() -> None:
     tiles = np.full((8, 8), CLEAR, np.uint8)
     tiles[:, 5:] = UNSEEN
     p, here = _on_tiles(max_speed=3.0), Motion(2.5, 2.5, 1.0, 0.0)
-    room = 5.0 - here.p_x
     fastest = 0.0
     for speed in np.linspace(0.0, 3.0, 3001):
-        at = here._replace(p_x=5.0 - room, v_x=float(speed))
-        if is_safe(p, False, tiles, open_to(0), at, 0.0, 0.0):
+        if is_safe(p, False, tiles, open_to(0), here._replace(v_x=float(speed)), 0.0, 0.0):
             fastest = float(speed)
-    assert fastest * 0.1 + braking_distance(fastest, 1.0, 0.1) == pytest.approx(room, abs=3e-3)
+    assert fastest * 0.1 + braking_distance(fastest, 1.0, 0.1) == pytest.approx(2.5, abs=3e-3)
 
 
 def test_safe_commands_leave_braking_safe_on_rough_ground() -> None:
@@ -333,7 +280,6 @@ def test_ugv_leaves_its_blocked_tile_and_enters_none() -> None:
     tiles[2, 2] = tiles[2, 3] = BLOCK
     here = Motion(2.5, 2.5, 0.0, 0.0)
     ground = open_from(tiles, 1.0, 0, here.p_x, here.p_y)
-    assert ground == Open(0, 1, 1, 1, 2, 3, 3, TOUCH)
     fast = _on_tiles(max_speed=20.0, max_acceleration=50.0)
     assert is_safe(fast, False, tiles, ground, here, 0.0, 50.0)
     assert not is_safe(fast, False, tiles, ground, here._replace(v_x=4.9), 50.0, 0.0)
@@ -387,59 +333,64 @@ def _parameters(**numbers: Any) -> Any:
     return Numbers(**found | numbers)
 
 
-def _drive(parameters: Any, memory: Any, goals: Any, ticks: int, start: Any) -> Any:
+def _step(p: Any, here: Motion, u: tuple[float, float]) -> Motion:
+    return Motion(*step_vehicle(*here, *u, p.max_speed, p.max_acceleration, p.dt)[:4])
+
+
+def _drive(p: Any, memory: Any, goals: Any, ticks: int, start: Any) -> Any:
     here, track = Motion(*start, 0.0, 0.0), []
     for tick in range(ticks):
-        u = navigate_control(parameters, memory, np.array(goals), tick, here, PLAIN)
-        here = Motion(
-            *step_vehicle(
-                *here, *u, parameters.max_speed, parameters.max_acceleration, parameters.dt
-            )[:4]
-        )
+        here = _step(p, here, navigate_control(p, memory, np.array(goals), tick, here, PLAIN))
         track.append(here)
     return np.array(track)
 
 
+def _ground(state: int = CLEAR, **sizes: int) -> Any:
+    """Return a map of 20 m by 5 m, all in one state."""
+    memory = occupancy_grid(10, 40, **sizes)
+    memory.tiles[:] = state
+    return memory
+
+
+GOAL = [[18.0, 2.5]]
+
+
 @pytest.mark.parametrize(("bold", "passes"), [(0, False), (1, True)])
 def test_unseen_ground_stops_the_cautious_and_not_the_bold(bold: int, passes: bool) -> None:
-    memory = occupancy_grid(10, 40)
+    memory = _ground(UNSEEN)
     memory.tiles[:, :20] = CLEAR
-    track = _drive(_parameters(bold=bold), memory, [[18.0, 2.5]], 600, (1.0, 2.5))
+    track = _drive(_parameters(bold=bold), memory, GOAL, 600, (1.0, 2.5))
     assert (track[:, 0].max() > 10.0) == passes
     assert track[-1, 0] == pytest.approx(18.0 if passes else 10.0, abs=0.01)
     assert norm(track[-1, 2], track[-1, 3]) < 1e-3
 
 
 def test_the_bold_brakes_for_a_tile_that_it_learns_to_be_blocked() -> None:
-    p, memory = _parameters(bold=1), occupancy_grid(10, 40)
-    _drive(p, memory, [[18.0, 2.5]], 40, (1.0, 2.5))
-    column = np.full(10, 20)
-    record_tiles(memory, np.arange(10), column, np.full(10, BLOCK, np.uint8))
-    track = _drive(p, memory, [[18.0, 2.5]], 400, (4.0, 2.5))
+    p, memory = _parameters(bold=1), _ground(UNSEEN)
+    _drive(p, memory, GOAL, 40, (1.0, 2.5))
+    record_tiles(memory, np.arange(10), np.full(10, 20), np.full(10, BLOCK, np.uint8))
+    track = _drive(p, memory, GOAL, 400, (4.0, 2.5))
     assert track[:, 0].max() < 10.0
 
 
 def test_ugv_waits_until_its_own_tile_is_known() -> None:
-    p, memory = _parameters(), occupancy_grid(10, 40)
-    memory.tiles[:] = CLEAR
+    p, memory = _parameters(), _ground()
     memory.tiles[5, 2] = UNSEEN
-    assert not _drive(p, memory, [[18.0, 2.5]], 20, (1.2, 2.7))[:, 2:].any()
+    assert not _drive(p, memory, GOAL, 20, (1.2, 2.7))[:, 2:].any()
     record_tiles(memory, np.array([5]), np.array([2]), np.array([CLEAR], np.uint8))
-    assert _drive(p, memory, [[18.0, 2.5]], 20, (1.2, 2.7))[-1, 2] > 0.3
+    assert _drive(p, memory, GOAL, 20, (1.2, 2.7))[-1, 2] > 0.3
 
 
 def test_ugv_among_blocked_tiles_takes_the_nearest_exit() -> None:
-    p, memory = _parameters(), occupancy_grid(10, 40)
-    memory.tiles[:] = CLEAR
+    p, memory = _parameters(), _ground()
     memory.tiles[2:8, 2:8] = BLOCK
-    track = _drive(p, memory, [[18.0, 2.5]], 600, (3.3, 2.6))
+    track = _drive(p, memory, GOAL, 600, (3.3, 2.6))
     assert track[:, 0].min() > 3.2
     assert track[-1, 0] == pytest.approx(18.0, abs=0.01)
 
 
 def test_ugv_drives_around_a_wall_and_stops_at_its_last_goal() -> None:
-    p, memory = _parameters(), occupancy_grid(10, 40)
-    memory.tiles[:] = CLEAR
+    p, memory = _parameters(plan_tiles=40), _ground()
     memory.tiles[0:8, 20] = BLOCK
     goals = [[15.0, 1.0], [5.0, 1.0]]
     track = _drive(p, memory, goals, 1600, (5.0, 1.0))
@@ -451,10 +402,9 @@ def test_ugv_drives_around_a_wall_and_stops_at_its_last_goal() -> None:
 
 
 def test_it_comes_to_rough_ground_as_slow_as_that_lets_it() -> None:
-    p, memory = _parameters(), occupancy_grid(10, 40)
-    memory.tiles[:] = CLEAR
+    p, memory = _parameters(), _ground()
     memory.tiles[:, 20:24] = ROUGH
-    track = _drive(p, memory, [[18.0, 2.5]], 600, (1.0, 2.5))
+    track = _drive(p, memory, GOAL, 600, (1.0, 2.5))
     speed = np.hypot(track[:, 2], track[:, 3])
     rough = (track[:, 0] > 10.0) & (track[:, 0] < 12.0)
     assert speed[rough].max() < 1.05 * p.rough_share * p.max_speed
@@ -463,16 +413,14 @@ def test_it_comes_to_rough_ground_as_slow_as_that_lets_it() -> None:
 
 
 def test_news_in_every_tick_keeps_no_search_from_its_end() -> None:
-    p, memory = _parameters(plan_tiles=15), occupancy_grid(10, 40)
-    memory.tiles[:] = CLEAR
-    goals, here, plans, speeds = np.array([[18.0, 2.5]]), Motion(1.0, 2.5, 0.0, 0.0), set(), []
+    p, memory = _parameters(plan_tiles=15), _ground()
+    here, plans, speeds = Motion(1.0, 2.5, 0.0, 0.0), set(), []
     far = np.array([9]), np.array([0])
     for tick in range(400):
         record_tiles(memory, *far, np.array([(CLEAR, FOUND)[tick % 2]], np.uint8))
         if tick == 100:  # a wall with a gap
             record_tiles(memory, np.arange(8), np.full(8, 30), np.full(8, BLOCK, np.uint8))
-        u = navigate_control(p, memory, goals, tick, here, PLAIN)
-        here = Motion(*step_vehicle(*here, *u, p.max_speed, p.max_acceleration, p.dt)[:4])
+        here = _step(p, here, navigate_control(p, memory, np.array(GOAL), tick, here, PLAIN))
         plans.add(int(memory.flags[0]["plans"]))
         speeds.append(norm(here.v_x, here.v_y))
     assert len(plans) > 10
@@ -480,36 +428,20 @@ def test_news_in_every_tick_keeps_no_search_from_its_end() -> None:
     assert min(speeds[60:150]) > 0.5  # meanwhile it drives on the previous plan
 
 
-def test_ugv_keeps_its_goal_while_searching_for_the_next() -> None:
-    p, memory = _parameters(plan_tiles=40), occupancy_grid(10, 40)
-    memory.tiles[:] = CLEAR
-    goals = np.array([[6.0, 2.5], [18.0, 2.5]])
-    track = _drive(p, memory, goals, 700, (1.0, 2.5))
-    assert memory.flags[0]["goal"] == 1
-    assert np.hypot(*(track[-1, :2] - goals[1])) < 1e-3
-    near = np.hypot(*(track[:, :2] - goals[0]).T)
-    assert near.min() < p.goal_tolerance
-    assert (np.hypot(*track[20:200, 2:].T) > 0.0).all()
-
-
 def test_without_goals_or_without_a_way_it_stands_still() -> None:
-    p, memory = _parameters(), occupancy_grid(10, 40)
-    memory.tiles[:] = CLEAR
+    p, memory = _parameters(), _ground()
     assert not _drive(p, memory, np.zeros((0, 2)), 5, (1.0, 2.5)).T[2:].any()
     memory.tiles[:, 20] = BLOCK
-    assert not _drive(p, memory, [[18.0, 2.5]], 5, (1.0, 2.5)).T[2:].any()
+    assert not _drive(p, memory, GOAL, 5, (1.0, 2.5)).T[2:].any()
 
 
 def test_the_state_ahead_is_where_the_commands_under_way_lead() -> None:
-    p, memory = _parameters(), occupancy_grid(10, 40, delay=3)
-    memory.tiles[:] = CLEAR
-    goals, queue, here = np.array([[18.0, 2.5]]), [(0.0, 0.0)] * 3, Motion(1.0, 2.5, 0.0, 0.0)
+    p, memory = _parameters(), _ground(delay=3)
+    queue, here = [(0.0, 0.0)] * 3, Motion(1.0, 2.5, 0.0, 0.0)
     foreseen: dict[int, Motion] = {}
     for tick in range(60):
         foreseen[tick + 3], _ = state_ahead(p, memory, tick, here, PLAIN)
-        queue.append(navigate_control(p, memory, goals, tick, here, PLAIN))
+        queue.append(navigate_control(p, memory, np.array(GOAL), tick, here, PLAIN))
         assert foreseen.get(tick, here) == here
-        here = Motion(
-            *step_vehicle(*here, *queue.pop(0), p.max_speed, p.max_acceleration, p.dt)[:4]
-        )
+        here = _step(p, here, queue.pop(0))
     assert here.v_x > 0.5
