@@ -7,29 +7,26 @@ import pytest
 from bus.messages.ground import Hazard, MapUpdate
 from bus.messages.telemetry import MissionResult
 from bus.messages.vehicle import UgvReport
-from outrider.envs.closed_loop import ClosedLoop
+from flights import record
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
 from sim.models.ground import CLEAR, UNCERTIFIED, UNSEEN, block_letters
 from sim.models.hazards import BLOCK
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Scenario
 from sim.world import World
 from test_seen_ground import scenario_with
 
 CERTIFIED = UgvReport(certified=True)
-CHANGES = ("links.profile=wifi-poor", "ground.false_alarm=0.2")
 NOT = UgvReport(certified=False, uncertified=next(iter(UNCERTIFIED.values())))
 
 
-def on_unseen_ground(driver: str = "waypoints") -> Scenario:
-    """Return a UGV in the middle of ground without any map updates."""
+def on_unseen_ground() -> World:
+    """Return a cautious UGV in the middle of ground without any map updates."""
     scenario = scenario_with(Hazard(kind="block", center=(2.0, 2.0), radius=0.5), sensing_range=0.0)
     (ugv,) = scenario.ugv
-    return msgspec.structs.replace(
-        scenario, ugv=(msgspec.structs.replace(ugv, driver=driver, caution="cautious"),)
-    )
+    cautious = msgspec.structs.replace(ugv, driver="waypoints", caution="cautious")
+    return World(msgspec.structs.replace(scenario, ugv=(cautious,)), 1)
 
 
 def mission(world: World) -> MissionResult:
@@ -38,7 +35,7 @@ def mission(world: World) -> MissionResult:
 
 
 def test_certified_tick_on_unknown_ground_breaks_the_guarantee() -> None:
-    world = World(on_unseen_ground(), 1)
+    world = on_unseen_ground()
     for _ in range(100):
         world.send(0, world.tick, (0.0, 0.0))
         world.send(1, world.tick, (0.1, 0.0))
@@ -52,7 +49,7 @@ def test_certified_tick_on_unknown_ground_breaks_the_guarantee() -> None:
 
 
 def test_false_ground_report_excuses_a_broken_certificate() -> None:
-    world = World(on_unseen_ground(), 1)
+    world = on_unseen_ground()
     for report in (CERTIFIED, NOT, NOT, None, CERTIFIED, NOT, CERTIFIED, None):
         world.record_claim(1, report)
     guarantee = mission(world).guarantees["ugv_0"]
@@ -78,7 +75,7 @@ def test_false_reports_on_drivable_ground_excuse(
     before: int, reported: int, true: int, untrue: int
 ) -> None:
     """A false alarm alone does not: it closes ground and opens none."""
-    world = World(on_unseen_ground(), 1)
+    world = on_unseen_ground()
     ground = world.ground
     ground.tiles[0, 0, 0] = true
     ground.radioed[0, 0, 0, 0] = before
@@ -87,25 +84,13 @@ def test_false_reports_on_drivable_ground_excuse(
     assert ground.missions["untrue"].tolist() == [[untrue]]
 
 
-@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("change", ["links.profile=wifi-poor", "ground.false_alarm=0.2"])
 def test_runs_and_environments_count_alike(change: str) -> None:
+    """Batches: tests/test_ground_flights.py."""
     scenario = load_scenario("minefield", overrides=["duration=25.0", change])
     guarantees = fly(scenario, 3)[1].mission.guarantees
     env = parallel_env(scenario=scenario, end_on_sight_lost=False)
-    observations, _ = env.reset(seed=3)
-    act = pilots(env)
-    while env.agents:
-        observations, *_ = env.step({name: act[name](observations[name]) for name in env.agents})
+    record(env, pilots(env), env.reset(seed=3)[0])
     assert guarantees["ugv_0"].ticks == 500
     assert guarantees["ugv_0"].certified > 400
     assert mission(env.unwrapped.world).guarantees == guarantees
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("change", CHANGES)
-def test_runs_and_batches_count_alike(change: str) -> None:
-    scenario = load_scenario("minefield", overrides=["duration=25.0", change])
-    loop = ClosedLoop(scenario, 1, threads=1)
-    loop.begin([3])
-    loop.fly()
-    assert loop.mission(0).guarantees == fly(scenario, 3)[1].mission.guarantees
