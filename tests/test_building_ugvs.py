@@ -62,7 +62,7 @@ CORNERS = st.lists(st.floats(0.3, 2.5), min_size=3, max_size=8)
 
 
 @given(CORNERS, st.floats(0.0, 6.3), PLACES, st.floats(0.0, 2.0))
-@settings(PROPERTY, max_examples=40)
+@settings(PROPERTY, max_examples=20)
 def test_tiles_near_a_polygon_are_those_within_the_distance(radii, turn, place, reach):
     angles = [turn + 2.0 * math.pi * n / len(radii) for n in range(len(radii))]
     x, y = 3.0 + place[0] / 20.0, 3.0 + place[1] / 20.0
