@@ -21,7 +21,7 @@ from agents.drivers.policy import PolicyDriver
 from agents.drivers.teleop import TeleopDriver
 from agents.ugv import Driver
 from bus.errors import ScenarioError
-from bus.messages.ground import UgvGround
+from bus.messages.ground import MapUpdate, UgvGround
 from bus.messages.scenario import Area, Limits, ScriptStep
 from bus.messages.vehicle import (
     RelativeInformation,
@@ -34,7 +34,7 @@ from flights import DT, R_V, U_G, V_A, V_G, distances, ugv_briefing
 from outrider.running.flying import fly
 from properties import PROPERTY
 from seeded import key_text
-from sim.models.ground import CLEAR
+from sim.models.ground import CLEAR, tile_states
 from sim.models.vehicles import step_vehicle
 from sim.scenario.loading import load_scenario
 
@@ -76,8 +76,11 @@ def _wild(observation: UgvObservation, _context: UgvBriefing) -> list[float]:
     return [size * math.cos(observation.tick), -size * math.sin(7 * observation.tick)]
 
 
+GROUND = UgvGround(tile=0.5, sensing_range=0.75, caution="cautious", rough_speed_share=0.4)
+
+
 def _on_clear_ground(briefed: UgvBriefing) -> NavigateDriver:
-    driver = NavigateDriver(briefed)
+    driver = NavigateDriver(msgspec.structs.replace(briefed, ground=GROUND))
     driver.ground.tiles[:] = CLEAR
     return driver
 
@@ -191,10 +194,18 @@ def test_a_driver_without_a_compiled_form_is_refused_in_one_line(name: str) -> N
 
 
 def test_an_area_of_too_many_tiles_is_refused_in_one_line() -> None:
-    ground = UgvGround(tile=0.5, sensing_range=0.75, caution="cautious", rough_speed_share=0.4)
     phrase = r"^ground.tile = 0.5: divides .* 3.6e\+07 tiles; allowed: at most 1,000,000$"
     with pytest.raises(ScenarioError, match=phrase):
-        NavigateDriver(ugv_briefing(area=Area(width=1e6, height=9.0, cell=0.5), ground=ground))
+        NavigateDriver(ugv_briefing(area=Area(width=1e6, height=9.0, cell=0.5), ground=GROUND))
+
+
+def test_map_updates_are_recorded_row_by_row() -> None:
+    driver, letters = NavigateDriver(_briefing(ground=GROUND)), ".#~." * 16
+    update = MapUpdate(column=1, row=2, tiles="#" + letters[1:])
+    driver.drive(_observe(0, (*MIDDLE, 0.0, 0.0), {"map_updates": (update,)}))
+    expected = np.zeros_like(driver.ground.tiles)
+    expected[16:24, 8:16] = tile_states(update.tiles).reshape(8, 8)
+    np.testing.assert_array_equal(driver.ground.tiles, expected)
 
 
 # teleop
@@ -386,6 +397,19 @@ def test_evader_reverses_only_while_the_uav_approaches_fast(start: float, speed:
     else:
         assert rows[15, 2] > 0.02  # no information about the UAV's speed yet
         assert rows[130:, 2].max() < -0.95 * V_G
+
+
+def test_evader_accounts_for_its_motion_since_the_message() -> None:
+    commands, velocity = [], np.array((0.1, -0.1))
+    for age in (0, 8):
+        before = MIDDLE - age * DT * velocity
+        place = tuple(((11.0, 10.5) - before).tolist())
+        sent = RelativeInformation(
+            time=(20 - age) * DT, relative_position=place, coverage_error=1.0
+        )
+        observation = _observe(20, (*MIDDLE, *velocity.tolist()), {"radio": (sent,)})
+        commands.append(evade(_briefing()).drive(observation))
+    assert commands[0] == pytest.approx(commands[1], abs=1e-12)
 
 
 def test_message_time_between_ticks_is_ignored() -> None:
