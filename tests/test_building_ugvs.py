@@ -171,7 +171,7 @@ def test_cautious_ugv_keeps_its_clearance_around_its_path() -> None:
     assert near_building(scenario(ugv, duration=350.0)) == [0]
 
 
-def test_clearance_is_warned_of_unless_the_cautious_driver_keeps_it() -> None:
+def test_clearance_is_warned_of_unless_it_is_kept() -> None:
     def warned(**changes: Any) -> bool:
         one = load_scenario("town", overrides=changes)
         return any("building_clearance = 1.5: not ensured" in x for x in scenario_warnings(one))
