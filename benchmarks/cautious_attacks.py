@@ -14,7 +14,6 @@ About three minutes for `attack`, one for each other.
 import dataclasses
 import math
 import time
-from collections import namedtuple
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -36,6 +35,7 @@ from agents.drivers.pending_stops import PLAIN, state_ahead, store_command, upda
 from agents.drivers.planning import continue_search, start_search
 from agents.drivers.tile_map import OccupancyGrid, occupancy_grid, record_block, record_tiles
 from sim.compiling.compile import FloatArray
+from sim.compiling.records import records
 from sim.models.ground import CERTIFIED, CLEAR, NO_CLAIM, UNSEEN, WAY_UNKNOWN, TileArray
 from sim.models.hazards import BLOCK, FOUND, ROUGH
 from sim.models.motion import NO_MOTION
@@ -49,9 +49,22 @@ TELLERS = ("bumper", "nothing for long", "all but some", "at rest only", "any or
 WHEELS = ("plan", "dash", "swerve", "noise")
 
 Ugv = Any
-"""Named tuple with the fields of `NavigateParameters`."""
-Parameters: Any = namedtuple("Parameters", NavigateParameters.__struct_fields__)  # type: ignore[misc]
-"""Parameters of the driver as a named tuple."""
+"""Record of `NavigateParameters`."""
+
+
+def parameters_of(**numbers: float) -> Ugv:
+    """Return the record of the driver's parameters."""
+    given = NavigateParameters(**numbers)  # type: ignore[arg-type]
+    return records(NavigateParameters, [given]).view(np.recarray)[0]
+
+
+def changed(ugv: Ugv, **numbers: float) -> Ugv:
+    """Return a record with other numbers."""
+    new = ugv.copy()
+    for name, number in numbers.items():
+        new[name] = number
+    return new
+
 
 Check = Callable[[Ugv, bool, TileArray, Open, Motion, float, float], bool]
 
@@ -156,7 +169,7 @@ def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Tr
     cells = rng.integers(0, [rows, columns], size=(int(rng.integers(1, 4)), 2))
     goals = (cells[:, ::-1] + rng.random(cells.shape)) * tile
     believed = slowest if delay else float(rng.uniform(0.05, 1.0))
-    parameters = Parameters(
+    parameters = parameters_of(
         dt=dt,
         width=columns * tile,
         height=rows * tile,
@@ -182,7 +195,7 @@ def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Tr
         ticks=20_000 if calm else 300,
     )
     most = int(rng.choice([3, 30, PLAN_TILES]))  # many ticks a plan, some, or one
-    return dataclasses.replace(given, parameters=parameters._replace(plan_tiles=most))
+    return dataclasses.replace(given, parameters=changed(parameters, plan_tiles=most))
 
 
 class Teller:
@@ -437,7 +450,7 @@ def _brakes_short(
 ) -> bool:
     kept = clip_norm(*u, ugv.max_acceleration)
     return is_safe(
-        ugv._replace(max_acceleration=1.25 * ugv.max_acceleration), late, t, ground, here, *kept
+        changed(ugv, max_acceleration=1.25 * ugv.max_acceleration), late, t, ground, here, *kept
     )
 
 
@@ -569,9 +582,9 @@ def _scattered(side: int) -> OccupancyGrid:
 def _slowest_tick(most: int, ticks: int = 600) -> str:
     """Return the slowest ticks of a UGV with new tiles in each tick, at this planning rate, over 400 x 400 tiles."""
     memory, goals, took = _scattered(400), np.array([[199.0, 199.0]]), list[float]()
-    parameters = draw_trial(3, wheel="plan", calm=True).parameters._replace(
-        width=200.0, height=200.0, tile=0.5, dt=0.05, max_speed=1.0, max_acceleration=0.5, plan_ticks=4,
-        bold=1, plan_tiles=most,
+    parameters = changed(
+        draw_trial(3, wheel="plan", calm=True).parameters, width=200.0, height=200.0, tile=0.5, dt=0.05, max_speed=1.0,
+        max_acceleration=0.5, plan_ticks=4, bold=1, plan_tiles=most,
     )  # fmt: skip
     here = Motion(1.0, 1.0, 0.0, 0.0)
     for tick in range(ticks):

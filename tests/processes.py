@@ -240,14 +240,5 @@ def command_line(pid: int) -> str:
         return ""
 
 
-def blocks(pid: int, number: int) -> bool:
-    """Return whether a process has blocked a signal."""
-    status = dict(
-        line.split(":\t", 1)
-        for line in Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
-    )
-    return bool(int(status["SigBlk"], 16) >> (number - 1) & 1)
-
-
 def child_of(run: "subprocess.Popen[str]", what: str) -> int:
     return next(pid for pid in family(run.pid) if kind_of(pid) == what)

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from collections import namedtuple
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -37,12 +36,12 @@ from agents.drivers.tile_map import occupancy_grid, record_block, record_tiles
 from bus.messages.ground import UgvGround
 from bus.messages.scenario import Area, Limits
 from flights import ugv_briefing
+from sim.compiling.records import records
 from sim.models.ground import CLEAR, UNSEEN
 from sim.models.hazards import BLOCK, FOUND, ROUGH, TOUCH
 from sim.models.vehicles import Motion, brake, norm, step_vehicle
 
 ROUGH_PRICE = 2.5
-Numbers: Any = namedtuple("Numbers", NavigateParameters.__struct_fields__)  # type: ignore[misc]
 _STEPS = [step for step in itertools.product((-1, 0, 1), repeat=2) if step != (0, 0)]
 
 
@@ -324,7 +323,8 @@ def _parameters(**numbers: Any) -> Any:
         ground=UgvGround(tile=0.5, sensing_range=0.75, caution="cautious", rough_speed_share=0.4),
     )
     found = asdict(driver_parameters(briefing, "navigate"))
-    return Numbers(**found | numbers)
+    changed = NavigateParameters(**found | numbers)
+    return records(NavigateParameters, [changed]).view(np.recarray)[0]
 
 
 def _step(p: Any, here: Motion, u: tuple[float, float]) -> Motion:

@@ -66,7 +66,9 @@ def least_altitude(briefing: UavBriefing) -> float:
     if own is None:
         return -math.inf
     roofs = briefing.max_building_height
-    return max(own.min_altitude, 0.0 if roofs is None else roofs + own.vertical_clearance + FLOOR_MARGIN)
+    return max(
+        own.min_altitude, 0.0 if roofs is None else roofs + own.vertical_clearance + FLOOR_MARGIN
+    )
 
 
 @functools.lru_cache(maxsize=256)
