@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -205,3 +206,21 @@ def test_a_policy_in_flight_sees_the_rows_of_the_environment(
         assert np.array_equal(seen, row)
         seen, *_ = env.step(weave(k + 1)[0])
     assert len({row[9] for row in rows}) > 50
+
+
+@pytest.mark.parametrize("filtered", [True, False], ids=["filtered", "not filtered"])
+def test_no_certified_ugv_hides_behind_real_buildings(
+    filtered: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two towns of `make wall-test`. Without the filter the adversaries hide the UGV and hit buildings."""
+    monkeypatch.syspath_prepend(Path(__file__).parent / "acceptance")
+    from walls import COUNTS, attack
+
+    counts = attack(100_001, filtered) + attack(100_003, filtered)
+    assert counts["runs that break the clearance"] == 0
+    if filtered:
+        assert [counts[name] for name in COUNTS] == [0, 0, 0]
+        assert counts["certified ticks"] > 0.9 * counts["ticks"]
+    else:
+        assert counts["ticks behind a building"] > 1000
+        assert counts["contacts"] > 100

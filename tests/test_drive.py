@@ -333,6 +333,7 @@ def test_drive_continues_with_the_next_simulator(endpoint: str) -> None:
             assert simulator.drives[0].velocity == (-0.1, 0.0)
             await_banner(link, "YOU DRIVE")
         await_banner(link, "SIMULATOR DISCONNECTED")
+        wait_until(lambda: link.view().wanted is None)  # a held key would not take control again
         with scripted(endpoint) as simulator:
             await_banner(link, "script drives ugv_0")
             hold(link, Heading.NORTH, lambda: simulator.drives)

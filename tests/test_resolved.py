@@ -95,11 +95,11 @@ def test_every_vehicle_can_be_changed_at_once() -> None:
 
 def test_a_run_leaves_a_file_that_flies_the_same_run_again(here: Path, command: Any) -> None:
     """The user's own function flies in the vehicle's process."""
-    (here / "mine.py").write_text(
+    (here / "careful_weighting.py").write_text(
         "def careful(distance, r_s):\n    share = min(distance / r_s, 1.0)\n    return share, 1.0 - share\n",
         encoding="utf-8",
     )
-    own = ("--set", "detections.noise=0.1", "--set", "custom.weighting=mine:careful")
+    own = ("--set", "detections.noise=0.1", "--set", "custom.weighting=careful_weighting:careful")
     options = ("--law", "weighted", "--duration", "2", "--seed", "5", "--network", "wifi-poor")
     again = ("--in-process", "--allow-code", "--no-files", "--json")
     flown = [
