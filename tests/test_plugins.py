@@ -48,21 +48,9 @@ driver = "zigzag"
 """
 FLIGHTS = """
 import json, sys
-import numpy as np
 import outrider
-from agents.drivers.dispatch import driver_command, driver_memories, driver_tables
-from agents.drivers.parameters import DriverInputs
-from agents.laws.dispatch import law_memories, law_tables, nominal_command
-from agents.uav_parameters import Target
 from bus.errors import ScenarioError
-from my_package import cautious, zigzag
 from outrider.running.flying import fly
-from sim.engine.briefing import uav_briefing, ugv_briefing
-from sim.models.field import empty_coverage
-from sim.models.motion import NO_MOTION
-from sim.models.vehicles import Motion, clip_norm
-
-scenario = outrider.load_scenario(sys.argv[1])
 
 def flown(*changes):
     return fly(outrider.load_scenario(sys.argv[1], overrides=changes), 3)
@@ -72,19 +60,7 @@ changes = [
 ]
 flight, summary = flown()
 
-laws = law_tables([uav_briefing(scenario, "uav_0", 0)], [scenario.law])
-seen = empty_coverage(20.0, 20.0, 0.5), 7, Motion(10.5, 10.3, 0.1, 0.0), Target(True, 10.0, 10.0, 0.0, 0.0, 0.0, 0.0)
-memories, at = law_memories(laws, 1), (0, 0)
-law = [nominal_command(laws, laws.uavs[0], memories, at, *seen)]
-rows = laws.uavs[0], laws.parameters.my_package_cautious[0], law_memories(laws, 1).my_package_cautious[at]
-law.append(clip_norm(*cautious.command(*rows, *seen), laws.uavs[0]["max_acceleration"]))
 
-drivers = driver_tables([ugv_briefing(scenario, "ugv_0", 0)], ["zigzag"])
-inputs = DriverInputs(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 3)), 0, None, NO_MOTION)
-memories, own = driver_memories(drivers, 1), Motion(10.0, 10.0, 0.1, 0.0)
-driver = [driver_command(drivers, memories, at, inputs, 7, own)]
-rows = drivers.ugvs[0], drivers.parameters.zigzag[0], memories.zigzag[at]
-driver.append(zigzag.command(*rows, inputs, 7, own))
 def refused(change):
     try:
         outrider.load_scenario(sys.argv[1], overrides=[change])
@@ -95,7 +71,6 @@ print(json.dumps({
     "refused": [refused(change) for change in sys.argv[2:]],
     "hashes": [flown(*change)[1].trajectory_sha256 for change in changes],
     "positions": flight.world.position.tolist(),
-    "dispatched": [law, driver],
 }))
 """
 BATCH = """
@@ -174,12 +149,6 @@ def flights(package: Path) -> dict[str, Any]:
 def test_law_driver_and_sensor_of_a_package_fly_in_one_process(flights: dict[str, Any]) -> None:
     assert len(set(flights["hashes"])) == 5
     assert np.abs(np.subtract(flights["positions"], [[10.0, 11.0], [10.0, 10.0]])).min() > 1e-3
-
-
-def test_law_and_driver_are_compiled_into_batches(flights: dict[str, Any]) -> None:
-    for batch, alone in flights["dispatched"]:
-        assert np.abs(batch).max() > 0.01
-        assert batch == pytest.approx(alone)
 
 
 @pytest.mark.long
