@@ -58,7 +58,7 @@ CONDITIONS = {
 """Conditions within the assumptions, and eps [m]."""
 
 
-RUNS, DURATION = 60, 100.0
+RUNS, DURATION = 30, 100.0
 
 
 def flown(conditions: Conditions, eps: float, **numbers: float) -> RecordArray:
