@@ -35,7 +35,7 @@ from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray, code
 from sim.models.altitude import VerticalMotion, level_off, lowest_ahead, step_altitude
 from sim.models.motion import NO_MOTION, follow_on
-from sim.models.vehicles import Motion
+from sim.models.vehicles import Motion, brake
 
 _TOO_LOW = code(NotCertified.TOO_LOW)
 _OFF_TRAJECTORY = code(NotCertified.OFF_TRAJECTORY)
@@ -131,8 +131,8 @@ def decide_in_space(
     """Decide on the nominal accelerations of a UAV with an altitude; as `decide` otherwise.
 
     The nominal accelerations are applied if a plan exists after them. Otherwise the UAV levels off, and
-    `choose_control` decides on its horizontal acceleration. Below every floor it climbs, and flies to the newest
-    measurement.
+    `choose_control` decides on its horizontal acceleration. Below every floor it climbs and flies to the newest
+    measurement, below the roofs it climbs and brakes.
 
     Args:
         levels: `SafetyBounds` by increasing floor. Shape (levels,).
@@ -176,6 +176,9 @@ def decide_in_space(
         else:
             u_x, u_y = best_effort(levels[0], discs, plan, beginning.ahead)
             u_z = own.max_acceleration
+            if _lowest_after(own, ahead, u_z, dt) < levels[0].roofs - 2.0 * _SLACK:
+                v = beginning.ahead
+                u_x, u_y = brake(v.v_x, v.v_y, levels[0].u_a, dt)
     end_decision(levels[max(level, 0)], memory, tick, here, beginning, (u_x, u_y), source)
     memory.pending.sent[begins % memory.pending.sent.shape[0]].vertical_acceleration = u_z
     _expect_height(memory.pending, own, tick, dt)

@@ -40,6 +40,7 @@ def bounds_at(briefing: UavBriefing, z: float | None = None) -> SafetyBounds:
             width=briefing.area.width,
             height=briefing.area.height,
             floor=-math.inf if z is None else z,
+            roofs=-math.inf if z is None else clear_altitude(briefing),
         )
     )
 
@@ -60,15 +61,18 @@ def radius_at(briefing: UavBriefing, z: float) -> float:
     )
 
 
-def least_altitude(briefing: UavBriefing) -> float:
-    """Return the lowest altitude that clears every building, also after rounding [m]."""
-    own = briefing.altitude
-    if own is None:
-        return -math.inf
-    roofs = briefing.max_building_height
-    return max(
-        own.min_altitude, 0.0 if roofs is None else roofs + own.vertical_clearance + FLOOR_MARGIN
+def clear_altitude(briefing: UavBriefing) -> float:
+    """Return the altitude from which no building is in the way, after rounding, too [m]; minus infinity: none is."""
+    own, roofs = briefing.altitude, briefing.max_building_height
+    return (
+        -math.inf if own is None or roofs is None else roofs + own.vertical_clearance + FLOOR_MARGIN
     )
+
+
+def least_altitude(briefing: UavBriefing) -> float:
+    """Return the lowest altitude that clears every building [m]."""
+    own = briefing.altitude
+    return -math.inf if own is None else max(own.min_altitude, clear_altitude(briefing))
 
 
 @functools.lru_cache(maxsize=256)

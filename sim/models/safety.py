@@ -49,6 +49,8 @@ class SafetyBounds(NamedTuple):
     """E: a plan may end only if the newest measurement's own bound is at most this [m]; NaN: none."""
     floor: float
     """Altitude from which these bounds hold [m]; minus infinity in the plane."""
+    roofs: float
+    """Altitude from which no building is in the way [m]; minus infinity: none ever is."""
     valid: bool
     """True if no assumption is known to be violated; `agents.safety.handover.check_assumptions` gives the texts."""
 
@@ -99,6 +101,7 @@ def safety_bounds(
     width: float = math.inf,
     height: float = math.inf,
     floor: float = -math.inf,
+    roofs: float = -math.inf,
 ) -> SafetyBounds:
     """Convert declared parameters, without the hand-over: R_h and E are NaN, and `valid` is False.
 
@@ -110,6 +113,7 @@ def safety_bounds(
         dt: Duration of a tick [s].
         width, height: Size of the area [m].
         floor: Altitude from which they hold [m].
+        roofs: Altitude from which no building is in the way [m].
     """
     declared = safety.max_tracking_error, safety.max_measurement_error
     tracking, error = map(or_infinite, declared)
@@ -132,5 +136,6 @@ def safety_bounds(
         handover_radius=math.nan,
         handover_bound=math.nan,
         floor=float(floor),
+        roofs=float(roofs),
         valid=False,
     )
