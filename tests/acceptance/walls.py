@@ -18,6 +18,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from itertools import repeat
 from typing import Any
 
@@ -366,14 +367,16 @@ def main() -> int:
     parser.add_argument("--unfiltered", action="store_true")
     options = parser.parse_args()
     total, began, shown = Counter[str](), time.monotonic(), 0.0
-    for seed, counts in results(options.runs, options.seed, options.jobs, not options.unfiltered):
-        total += counts
-        for name in COUNTS:
-            if counts[name]:
-                print(f"town {seed}: {name}: {counts[name]}", flush=True)
-        if time.monotonic() - shown > 10.0:
-            shown = time.monotonic()
-            print(f"{total['runs']:,} runs in {shown - began:.0f} s", flush=True)
+    towns = results(options.runs, options.seed, options.jobs, not options.unfiltered)
+    with suppress(KeyboardInterrupt):  # then print the counts so far
+        for seed, counts in towns:
+            total += counts
+            for name in COUNTS:
+                if counts[name]:
+                    print(f"town {seed}: {name}: {counts[name]}", flush=True)
+            if time.monotonic() - shown > 10.0:
+                shown = time.monotonic()
+                print(f"{total['runs']:,} runs in {shown - began:.0f} s", flush=True)
     for name in (*COUNTS, *(name for name in sorted(total) if name not in COUNTS)):
         print(f"{total[name]:12,}  {name}")
     return 1 if any(total[name] for name in COUNTS) else 0
