@@ -47,6 +47,8 @@ ROUND = 0.4
 """Radius of the inner corners of its way [m]."""
 AGILE = 0.5
 """Maximum acceleration of the UGV [m/s²]."""
+HIGHEST = 25.0
+"""Maximum altitude [m]."""
 COUNTS = ("certified out of sight", "certificate broken", "contacts")
 """Counts that must be zero."""
 
@@ -135,13 +137,10 @@ def scenario_of(rng: np.random.Generator) -> tuple[Scenario, list[Any], list[flo
         for s, h in zip(shapes, heights, strict=True)
     )
     changes = [
-        *(
-            "building_field=[]",
-            f"building=[{polygons}]",
-            f"duration={SECONDS}",
-            "altitude.law=fixed",
-        ),
+        "building_field=[]",
+        f"building=[{polygons}]",
         "buildings.known=true",
+        f"duration={SECONDS}",
         f"area={{width={SIZE}, height={SIZE}, cell={TILE}}}",
         f"ground.tile={TILE}",
         f"camera.half_angle={half_angle}",
@@ -151,27 +150,26 @@ def scenario_of(rng: np.random.Generator) -> tuple[Scenario, list[Any], list[flo
         f"links.detections.loss={loss}",
         f"certificate.max_measurement_age={rng.choice([1.0, 2.0])}",
         f"uav.0.min_altitude={0.3 + 0.3 / math.tan(half_angle)}",  # it sees a cell
-        "uav.0.max_altitude=25.0",
+        f"uav.0.max_altitude={HIGHEST}",
         f"uav.0.position=[{x}, {y}]",
         f"uav.0.max_climb_rate={rng.choice([0.3, 1.0, 4.0])}",
         f"uav.0.max_vertical_acceleration={rng.choice([0.2, 1.0, 3.0])}",
-        *(f"ugv.0.position=[{x}, {y}]", "ugv.0.goals=[]"),
-        *(
-            f"ugv.0.max_speed={v_g}",
-            f"ugv.0.max_acceleration={AGILE}",
-            "uav.0.max_acceleration=0.6",
-        ),
+        "uav.0.max_acceleration=0.6",
+        f"ugv.0.position=[{x}, {y}]",
+        "ugv.0.goals=[]",
+        f"ugv.0.max_speed={v_g}",
+        f"ugv.0.max_acceleration={AGILE}",
         f"ugv.0.building_clearance={clearance}",
     ]
     only = f"commands={{delay={delay}, loss={loss}}}, detections={{delay=0.1, loss={loss}}}"
     if loss or delay:
         changes.append(f"links.only=[{{vehicle='uav_0', {only}}}]")
         changes.append(f"certificate.max_command_interval={2.0 if loss else 0.05}")
-    high = load_scenario("town", overrides=[*changes, "uav.0.initial_altitude=25.0"])
+    high = load_scenario("town", overrides=[*changes, f"uav.0.initial_altitude={HIGHEST}"])
     floor = lowest_certified(uav_briefing(high, "uav_0", 0))
     if floor is None:
         return None
-    above = min(rng.choice([0.0, 0.01, 1.0, 5.0]), 25.0 - floor)
+    above = min(rng.choice([0.0, 0.01, 1.0, 5.0]), HIGHEST - floor)
     start = load_scenario("town", overrides=[*changes, f"uav.0.initial_altitude={floor + above}"])
     return start, shapes, heights, way
 
@@ -209,9 +207,8 @@ class Way:
         off = self._at(self._s) - position
         far = np.maximum(np.linalg.norm(off, axis=-1), 1e-12)
         self._arrived |= far < 0.01
-        braking = np.abs(self._along) + np.sqrt(
-            0.5 * AGILE * far
-        )  # it stops on its way, not beyond
+        # slow enough to stop on its way, not beyond
+        braking = np.abs(self._along) + np.sqrt(0.5 * AGILE * far)
         speed = np.minimum(np.minimum(self._speed, braking), far / self._dt)
         wanted = off * (speed / far)[:, None]
         return (wanted - velocity) / self._dt
