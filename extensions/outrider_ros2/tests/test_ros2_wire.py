@@ -16,6 +16,7 @@ from bus.messages.ground import GroundMap
 from bus.messages.links import LinkStatus
 from bus.messages.telemetry import CoverageMap, VehicleStatus
 from outrider.running.refused import Refused
+from outrider_ros2.conversion import stamp
 from outrider_ros2.interfaces import decode, encode, make, type_hash
 from outrider_ros2.roles import PILOT
 from outrider_ros2.run_view import PathTrack, RunView
@@ -273,3 +274,9 @@ def test_every_ros_2_topic_is_documented_with_its_type(monkeypatch: pytest.Monke
         assert len(lines) == len(rows)
         for row, line in zip(rows, lines, strict=True):
             assert f"{row.name}` | `{row.interface}` | " in line
+
+
+def test_time_is_exact_to_the_nanosecond() -> None:
+    """A tick may last a third of a second."""
+    time = stamp(100.0 / 3.0)
+    assert (time.sec, time.nanosec) == (33, 333_333_333)
