@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agents.laws.candidates import worth
-from agents.laws.hidden_ground import no_views
+from agents.laws.hidden_ground import empty_views
 from agents.laws.horizon import Ahead, look_ahead
 from agents.uav import UavPilot
 from agents.uav_parameters import Target
@@ -104,7 +104,7 @@ def test_motion_is_worth_the_ground_that_it_will_see() -> None:
         angle, speed = rng.uniform(0.0, 2.0 * math.pi, 9), rng.uniform(0.3, 0.6, 9)
         motion = np.stack((speed * np.cos(angle), speed * np.sin(angle)), axis=-1)
         work = np.empty_like(ahead.lack), np.empty(8)
-        value = worth(c, ahead, HERE, motion, *work, no_views(ahead, blocks))
+        value = worth(c, ahead, HERE, motion, *work, empty_views(ahead, blocks))
         assert value == pytest.approx(_flown(c, ahead, motion, 20, blocks), rel=0.05)
         assert value < 0.8 * worth(c, ahead, HERE, motion, *work)
 

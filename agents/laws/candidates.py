@@ -84,10 +84,8 @@ def worth(
         views: What buildings hide; None: there are no buildings.
     """
     step, cell = ahead.step, ahead.cell
-    size, width = (
-        lack.shape[0],
-        gains.size,
-    )  # not constants, or numba would not vectorize the loop over cells
+    # not constants, or numba would not vectorize the loop over cells
+    size, width = lack.shape[0], gains.size
     for j in range(size):
         row, now = lack[j], ahead.lack[j]
         for i in range(size):

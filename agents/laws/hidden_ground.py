@@ -26,8 +26,8 @@ class Views(NamedTuple):
 
 
 @compiled
-def no_views(ahead: Ahead, occlusion: Occlusion | None) -> Any:  # noqa: ANN401 - its type depends on the occlusion
-    """Return `Views` of which none is computed; None without buildings."""
+def empty_views(ahead: Ahead, occlusion: Occlusion | None) -> Any:  # noqa: ANN401 - its type depends on the occlusion
+    """Return `Views` without any computed one; None if there are no buildings."""
     if occlusion is None:
         return None
     size = ahead.lack.shape[0]

@@ -1,4 +1,4 @@
-"""What the law `lookahead` expects of the next seconds: docs/explanation/lookahead.md.
+"""Expectations of the law `lookahead` for the next seconds: docs/explanation/lookahead.md.
 
 Positions in the world's frame [m], velocities [m/s], times [s] except for ticks.
 """

@@ -15,7 +15,7 @@ from msgspec import Meta
 
 from agents.laws.candidates import worth
 from agents.laws.common import LawParameters
-from agents.laws.hidden_ground import no_views
+from agents.laws.hidden_ground import empty_views
 from agents.laws.horizon import LEGS, PERIOD, WINDOW, Ahead, copy, leg_ticks, look_ahead
 from agents.uav_parameters import Target, UavParameters
 from bus.messages.base import Positive
@@ -195,7 +195,7 @@ def decide(
     recall(memory, now, best)
     if law.candidates > 1:
         lack, gains = np.empty_like(ahead.lack), np.empty(WINDOW)
-        views = no_views(ahead, occlusion)
+        views = empty_views(ahead, occlusion)
         most = worth(uav, ahead, own, best, lack, gains, views)
         for n in range(1, law.candidates):
             copy(best, tried)

@@ -62,7 +62,7 @@ def radius_at(briefing: UavBriefing, z: float) -> float:
 
 
 def clear_altitude(briefing: UavBriefing) -> float:
-    """Return the altitude from which no building is in the way, after rounding, too [m]; minus infinity: none is."""
+    """Return the altitude that clears every roof despite rounding [m]; minus infinity if there are no buildings."""
     own, roofs = briefing.altitude, briefing.max_building_height
     return (
         -math.inf if own is None or roofs is None else roofs + own.vertical_clearance + FLOOR_MARGIN

@@ -50,7 +50,7 @@ class SafetyBounds(NamedTuple):
     floor: float
     """Altitude from which these bounds hold [m]; minus infinity in the plane."""
     roofs: float
-    """Altitude from which no building is in the way [m]; minus infinity: none ever is."""
+    """Altitude that clears every roof [m]; minus infinity if there are no buildings."""
     valid: bool
     """True if no assumption is known to be violated; `agents.safety.handover.check_assumptions` gives the texts."""
 
@@ -113,7 +113,7 @@ def safety_bounds(
         dt: Duration of a tick [s].
         width, height: Size of the area [m].
         floor: Altitude from which they hold [m].
-        roofs: Altitude from which no building is in the way [m].
+        roofs: Altitude that clears every roof [m].
     """
     declared = safety.max_tracking_error, safety.max_measurement_error
     tracking, error = map(or_infinite, declared)
