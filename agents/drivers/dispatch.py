@@ -3,10 +3,9 @@
 A batch contains all drivers; those that need ground only if its scenario has ground.
 """
 
-from collections import namedtuple
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,16 +15,14 @@ from bus.messages.vehicle import UgvBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS
 from sim.compiling.compile import IntArray, compiled
 from sim.compiling.dispatch import commands
-from sim.compiling.records import RecordArray, fresh, record_type, records
+from sim.compiling.records import RecordArray, fill, fresh_nested, nested_type, records
 from sim.models.vehicles import Motion
 
 _ROWS = {row.name: row for row in DRIVERS.values() if row.module}
 CODES = {name: code for code, name in enumerate(_ROWS)}
 """Index of each compiled driver's file."""
-_MODULES = tuple(import_module(row.module) for row in _ROWS.values())
-PerDriver: Any = namedtuple("PerDriver", tuple(_ROWS))  # type: ignore[misc] # of the table
-"""Structured array of each driver; None for drivers that need ground, in a batch without it."""
-_driver_command = commands([module.command for module in _MODULES])
+_MODULES = {name: import_module(row.module) for name, row in _ROWS.items()}
+_driver_command = commands({name: module.command for name, module in _MODULES.items()})
 
 
 class DriverTables(NamedTuple):
@@ -35,8 +32,11 @@ class DriverTables(NamedTuple):
     """A value of `CODES`. Shape (UGVs,)."""
     ugvs: RecordArray
     """`UgvParameters`. Shape (UGVs,)."""
-    parameters: Any
-    """`PerDriver`: `Parameters` of the drivers. Shape (UGVs,)."""
+    parameters: RecordArray
+    """`Parameters` of each driver that the batch contains, nested by name. Shape (UGVs,).
+
+    A batch without ground contains no driver that needs it.
+    """
 
 
 def driver_tables(briefings: Sequence[UgvBriefing], drivers: Sequence[str]) -> DriverTables:
@@ -54,32 +54,29 @@ def driver_tables(briefings: Sequence[UgvBriefing], drivers: Sequence[str]) -> D
         for one, name in chosen
     ]
     grounded = any(one.ground is not None for one in briefings)
-    tables = []
-    for code, (row, module) in enumerate(zip(_ROWS.values(), _MODULES, strict=True)):
-        table = np.zeros(len(chosen), record_type(module.Parameters))
-        own = [k for k, other in enumerate(codes) if other == code and drivers[k] == row.name]
-        if own:
-            table[own] = records(module.Parameters, [given[k] for k in own])
-        tables.append(table if grounded or not row.separate else None)
-    table = records(UgvParameters, ugvs)
-    return DriverTables(np.array(codes, dtype=np.int64), table, PerDriver(*tables))
+    # Drivers that need ground come first: numba would treat a record as another one that it begins with.
+    names = sorted(_ROWS, key=lambda name: not _ROWS[name].separate)
+    kinds = {
+        name: _MODULES[name].Parameters for name in names if grounded or not _ROWS[name].separate
+    }
+    table = np.zeros(len(chosen), nested_type(kinds))
+    for k, name in enumerate(drivers):
+        if codes[k] == CODES[name]:
+            fill(table[name][k], given[k])
+    rows = records(UgvParameters, ugvs)
+    return DriverTables(np.array(codes, dtype=np.int64), rows, table)
 
 
-def driver_memories(tables: DriverTables, worlds: int) -> Any:  # noqa: ANN401 - `PerDriver`
-    """Return the memories of the drivers in all worlds. Shape (worlds, UGVs) each."""
-    shape = worlds, len(tables.codes)
-    return PerDriver(
-        *(
-            None if table is None else fresh(module.Memory, shape)
-            for module, table in zip(_MODULES, tables.parameters, strict=True)
-        )
-    )
+def driver_memories(tables: DriverTables, worlds: int) -> RecordArray:
+    """Return the memories of the drivers in all worlds, nested by name. Shape (worlds, UGVs)."""
+    kinds = {name: _MODULES[name].Memory for name in tables.parameters.dtype.names or ()}
+    return fresh_nested(kinds, (worlds, len(tables.codes)))
 
 
 @compiled
 def driver_command(
     tables: DriverTables,
-    memories: Any,  # noqa: ANN401 - `PerDriver`
+    memories: RecordArray,
     place: tuple[int, int],
     inputs: DriverInputs,
     tick: int,
@@ -99,9 +96,8 @@ def driver_command(
     u_x, u_y = _driver_command(
         tables.codes[row],
         tables.ugvs[row],
-        tables.parameters,
-        memories,
-        place,
+        tables.parameters[row],
+        memories[place],
         (inputs, tick, own),
     )
     return u_x, u_y

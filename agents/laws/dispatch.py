@@ -4,10 +4,9 @@ Compiling a batch for a new set of laws takes 15 s. So a batch contains all laws
 slow ones that are flown.
 """
 
-from collections import namedtuple
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from bus.messages.vehicle import UavBriefing
 from bus.registry import LAWS
 from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.compiling.dispatch import commands
-from sim.compiling.records import RecordArray, fresh, record_type, records
+from sim.compiling.records import RecordArray, fresh_nested, nested_type, records
 from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion, brake, clip_norm
 
@@ -26,12 +25,10 @@ _ROWS = {row.name: row for row in LAWS.values() if row.module and not row.own}
 _FILES = tuple(dict.fromkeys(row.module for row in _ROWS.values()))
 CODES = {name: _FILES.index(row.module) for name, row in _ROWS.items()}
 """Index of the file of each law that flies in batches."""
-_FIELDS = tuple(file.replace(".", "_") for file in _FILES)
-_MODULES = tuple(map(import_module, _FILES))
+_MODULES = {file.replace(".", "_"): import_module(file) for file in _FILES}
+"""Module of each law by the name of its nested record, in the order of its code."""
 _SEPARATE = {CODES[name] for name, row in _ROWS.items() if row.separate}
-PerLaw: Any = namedtuple("PerLaw", _FIELDS)  # type: ignore[misc] # of the table
-"""Structured array of each file; None if the batch does not contain the law."""
-_law_command = commands([module.command for module in _MODULES])
+_law_command = commands({name: module.command for name, module in _MODULES.items()})
 
 
 class LawTables(NamedTuple):
@@ -41,40 +38,45 @@ class LawTables(NamedTuple):
     """A value of `CODES`. Shape (UAVs,)."""
     uavs: RecordArray
     """`UavParameters`. Shape (UAVs,)."""
-    parameters: Any
-    """`PerLaw`: `Parameters` of the laws. Shape (UAVs,)."""
+    parameters: RecordArray
+    """`Parameters` of each law that the batch contains, nested by name. Shape (UAVs,)."""
+
+
+def _contained(codes: IntArray) -> dict[str, int]:
+    """Return the laws of a batch, by name, with their codes.
+
+    Laws that are compiled only when used come first: numba would treat a record as another one that it begins with.
+    """
+    used = {
+        name: code for code, name in enumerate(_MODULES) if code in codes or code not in _SEPARATE
+    }
+    return dict(sorted(used.items(), key=lambda one: one[1] not in _SEPARATE))
 
 
 def law_tables(briefings: Sequence[UavBriefing], laws: Sequence[Law]) -> LawTables:
     """Return the tables of the UAVs with these briefings, each with its law, a key of `CODES`."""
     codes = np.array([CODES[law.name] for law in laws], dtype=np.int64)
-    tables = []
-    for code, module in enumerate(_MODULES):
-        table = np.zeros(len(laws), record_type(module.Parameters))
-        own = [k for k, law in enumerate(laws) if CODES[law.name] == code]
+    kinds = {name: _MODULES[name].Parameters for name in _contained(codes)}
+    table = np.zeros(len(laws), nested_type(kinds))
+    for name, code in _contained(codes).items():
+        own = [k for k, other in enumerate(codes) if other == code]
         if own:
-            table[own] = records(module.Parameters, [law_parameters(laws[k]) for k in own])
-        tables.append(table if own or code not in _SEPARATE else None)
+            table[name][own] = records(kinds[name], [law_parameters(laws[k]) for k in own])
     uavs = records(UavParameters, list(map(uav_parameters, briefings)))
-    return LawTables(codes, uavs, PerLaw(*tables))
+    return LawTables(codes, uavs, table)
 
 
-def law_memories(tables: LawTables, worlds: int) -> Any:  # noqa: ANN401 - `PerLaw`
-    """Return the memories of the laws in all worlds. Shape (worlds, UAVs) each."""
-    shape = worlds, len(tables.codes)
-    return PerLaw(
-        *(
-            None if table is None else fresh(module.Memory, shape)
-            for module, table in zip(_MODULES, tables.parameters, strict=True)
-        )
-    )
+def law_memories(tables: LawTables, worlds: int) -> RecordArray:
+    """Return the memories of the laws in all worlds, nested by name. Shape (worlds, UAVs)."""
+    kinds = {name: _MODULES[name].Memory for name in _contained(tables.codes)}
+    return fresh_nested(kinds, (worlds, len(tables.codes)))
 
 
 @compiled
 def nominal_command(
     tables: LawTables,
     uav: UavParameters,
-    memories: Any,  # noqa: ANN401 - `PerLaw`
+    memories: RecordArray,
     place: tuple[int, int],
     coverage: FloatArray,
     tick: int,
@@ -99,5 +101,5 @@ def nominal_command(
     if not target.known:
         return brake(own.v_x, own.v_y, uav.max_acceleration, uav.dt)
     inputs = coverage, tick, own, target, occlusion
-    u_x, u_y = _law_command(tables.codes[row], uav, tables.parameters, memories, place, inputs)
+    u_x, u_y = _law_command(tables.codes[row], uav, tables.parameters[row], memories[place], inputs)
     return clip_norm(u_x, u_y, uav.max_acceleration)

@@ -178,16 +178,16 @@ class ClosedLoop:
         pixels = patch.pixels if patch else 1
         state = LoopState(
             **self.state._asdict(),
-            maps=repeated(numbers.maps if parameters.own_maps else numbers.maps[:0], worlds, 1)[
-                :, 0
-            ],
+            maps=repeated(numbers.maps, worlds, 1)[:, 0]
+            if parameters.own_maps
+            else batch.state.coverage[:, None],
             uavs=repeated(numbers.laws.uavs, worlds, 1)[:, 0],
             heights=repeated(numbers.climbs, worlds, 1)[:, 0],
             laws=law_memories(numbers.laws, worlds),
             drivers=driver_memories(numbers.drivers, worlds),
             kalman=repeated(estimator_rows(depth), worlds, uavs),
             filters=repeated(fresh, worlds, uavs),
-            grids=grids_of(numbers.grids, worlds),
+            grids=None if batch.ground is None else grids_of(numbers.grids, worlds),
             outbox=no_packets(worlds, uavs, 2),
             detections=np.zeros((worlds, room, 3)),
             inboxes=np.zeros((worlds, ugvs, room * uavs if parameters.radio else 1, 3)),
@@ -218,15 +218,19 @@ class ClosedLoop:
         self._fresh.restore(which)
         if isinstance(self.state, LoopState):
             keys = self.state.batch.vehicles["keys"][which, :, PILOT]
-            keyed = [(rows, self.tables.batch.ugvs) for rows in self.state.drivers]
-            keyed += [(rows, self.tables.batch.escorts[:, 0]) for rows in self.state.laws]
-            for rows, vehicles in keyed:
-                if rows is not None and "key_0" in rows.dtype.names:
-                    for word, name in enumerate(("key_0", "key_1")):
-                        rows[name][which] = keys[:, vehicles, word]
-            if self.scenario.building_field and self.scenario.buildings.known:
+            pilots = (
+                (self.state.drivers, self.tables.batch.ugvs),
+                (self.state.laws, self.tables.batch.escorts[:, 0]),
+            )
+            for memories, vehicles in pilots:
+                for kind in memories.dtype.names or ():
+                    if "key_0" in (memories[kind].dtype.names or ()):
+                        for word, name in enumerate(("key_0", "key_1")):
+                            memories[kind][name][which] = keys[:, vehicles, word]
+            grids = self.state.grids
+            if grids and self.scenario.building_field and self.scenario.buildings.known:
                 map_random_buildings(
-                    self.state.grids,
+                    grids,
                     self.scenario,
                     zip(which.tolist(), seeds, strict=True),
                     self._secret,
@@ -317,7 +321,10 @@ class ClosedLoop:
 
     def known_tiles(self, ugv: str) -> TileArray:
         """Return a UGV's occupancy grid, from its sensor and by radio, in each world. Shape (worlds, rows, columns)."""
-        tiles: TileArray = self._pilots.grids.tiles[:, self.ugvs.index(ugv)]
+        grids = self._pilots.grids
+        if grids is None:
+            raise ValueError("the scenario has no hazards, so there are no tiles")
+        tiles: TileArray = grids.tiles[:, self.ugvs.index(ugv)]
         return tiles
 
     @property

@@ -1,6 +1,6 @@
 """Parameters, tables and state of `outrider.envs.closed_loop`: the arrays of its compiled tick."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from agents.drivers.dispatch import DriverTables
 from agents.drivers.tile_map import OccupancyGrid
@@ -103,21 +103,21 @@ class LoopState(NamedTuple):
     rows: RowState
     certificates: RecordArray
     maps: FloatArray
-    """Maps of the UAVs, if they differ from the world's. Shape (worlds, UAVs or 0, rows, columns)."""
+    """Maps of the UAVs; one, the world's coverage, if they do not differ. Shape (worlds, UAVs or 1, rows, columns)."""
     uavs: RecordArray
     """`UavParameters` of each UAV, with its sensor at its altitude. Shape (worlds, UAVs)."""
     heights: RecordArray
     """`HeightMemory` of each UAV. Shape (worlds, UAVs)."""
-    laws: Any
-    """`PerLaw`: memories of the laws. Shape (worlds, UAVs) each."""
-    drivers: Any
-    """`PerDriver`: memories of the drivers. Shape (worlds, UGVs) each."""
+    laws: RecordArray
+    """Memories of the laws, nested by law. Shape (worlds, UAVs)."""
+    drivers: RecordArray
+    """Memories of the drivers, nested by driver. Shape (worlds, UGVs)."""
     kalman: RecordArray
     """`EstimatorRow` of each UAV. Shape (worlds, UAVs, 1 + depth): see `agents.estimation.batch_filter`."""
     filters: FilterMemory
     """Memory of each UAV's safety filter. Shape (worlds, UAVs, ...)."""
-    grids: OccupancyGrid
-    """Occupancy grid of each UGV; without tiles if there are no hazards. Shape (worlds, UGVs, ...)."""
+    grids: OccupancyGrid | None
+    """Occupancy grid of each UGV; None without ground. Shape (worlds, UGVs, ...)."""
     outbox: RecordArray
     """`Packet`: radio messages just sent by each UAV, with its relative position and with a map update.
 

@@ -4,57 +4,68 @@ The tick calls the functions of the pilots, so a vehicle gets the same commands 
 world is processed in one pass, so that its grid stays in the cache until the tick is complete.
 """
 
+from typing import Any
+
 from agents.estimation.batch_filter import estimate
+from agents.uav_parameters import Target, UavParameters
 from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
 from outrider.envs.command_tick import apply_actions, command
 from outrider.envs.height_tick import occlusion_at
 from outrider.envs.perception_tick import perceive
-from outrider.envs.vehicle_parts import coverage_of
+from outrider.envs.vehicle_parts import map_of
 from sim.channel.link_records import ARRIVED
-from sim.compiling.compile import FloatArray, IntArray, inlined, released
+from sim.compiling.compile import FloatArray, IntArray, compiled, inlined, released
+from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState
 from sim.engine.monitor import (
     NEVER,
+    CertificateCounters,
     record_arrival,
     record_end,
     record_interval,
     record_tracking_error,
 )
+from sim.engine.world_state import Vehicle, WorldParameters
 from sim.engine.world_tick import begin_world, measure, world_tick
 from sim.env.rows import advance_rows, observe_rows
 from sim.models.field import coverage_gradient, sample
+from sim.models.motion import CheckedTrajectory
+from sim.models.safety import SafetyBounds
+from sim.models.shadows import Occlusion
 from sim.models.vehicles import norm
 
 
-@inlined
+@compiled
 def _add_cues(
-    parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int, uav: int
+    parameters: LoopParameters,
+    numbers: WorldParameters,
+    row: Any,  # noqa: ANN401 - record of `RowState.uav_rows`
+    target: Target,
+    age: int,
+    own: UavParameters,
+    coverage: FloatArray,
+    occlusion: Occlusion | None,
 ) -> None:
-    """Write the estimate and the gradient into a UAV's row, if they are required and known."""
-    world_parameters, row = tables.batch.world[0], state.rows.uav_rows[world, uav]
-    escorts = tables.batch.escorts
+    """Write the estimate, of this age [ticks], and the gradient into a UAV's row, if they are required and known."""
     row.gradient_x, row.gradient_y = 0.0, 0.0
-    target = estimate(state.kalman, world, uav)
     if not target.known:
         return
-    g_x, g_y = target.p_x, target.p_y
-    x, y = row.x, row.y
+    x, y, g_x, g_y = row.x, row.y, target.p_x, target.p_y
     if parameters.estimate:
         row.detected, row.relative_x, row.relative_y = 1.0, x - g_x, y - g_y
-        row.age = state.kalman[world, uav, 0].age * world_parameters.dt
+        row.age = age * numbers.dt
     if parameters.gradient:
-        own, vehicle = state.uavs[world, uav], state.batch.vehicles[world, escorts[uav, 0]]
         u_x, u_y, size = coverage_gradient(
-            coverage_of(parameters, state, world, uav),
+            coverage,
             x,
             y,
             g_x,
             g_y,
-            world_parameters.r_o,
-            world_parameters.desired,
+            numbers.r_o,
+            numbers.desired,
             own.sensor,
-            world_parameters.cell,
-            occlusion_at(tables.heights, own, uav, vehicle),
+            numbers.cell,
+            occlusion,
         )
         if size > 0.0:
             row.gradient_x, row.gradient_y = u_x / size, u_y / size
@@ -65,66 +76,106 @@ def _add_pictures(
     parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int
 ) -> None:
     """Write the UAVs' estimates and gradients into their rows, and draw their coverage patches."""
-    world_parameters = tables.batch.world[0]
-    escorts = tables.batch.escorts
+    numbers, vehicles = tables.batch.world[0], state.batch.vehicles
+    maps, patches, escorts = state.maps, state.patches, tables.batch.escorts
     if parameters.estimate or parameters.gradient:
+        kalman, rows, uavs, heights = state.kalman, state.rows.uav_rows, state.uavs, tables.heights
         for u in range(escorts.shape[0]):
-            _add_cues(parameters, tables, state, world, u)
-    for u in range(state.patches.shape[1]):
-        place = state.batch.vehicles[world, escorts[u, 0]].reference_position
+            own = uavs[world, u]
+            _add_cues(
+                parameters,
+                numbers,
+                rows[world, u],
+                estimate(kalman, world, u),
+                kalman[world, u, 0].age,
+                own,
+                map_of(maps, world, u),
+                occlusion_at(heights, own, u, vehicles[world, escorts[u, 0]]),
+            )
+    for u in range(patches.shape[1]):
+        place = vehicles[world, escorts[u, 0]].reference_position
         x, y = place[0], place[1]
         sample(
-            coverage_of(parameters, state, world, u),
+            map_of(maps, world, u),
             x,
             y,
-            world_parameters.desired,
-            world_parameters.cell,
+            numbers.desired,
+            numbers.cell,
             parameters.meters_per_pixel,
-            state.patches[world, u],
+            patches[world, u],
         )
 
 
-@inlined
-def _count_action(tables: LoopTables, state: LoopState, world: int, uav: int, tick: int) -> None:
+@compiled
+def _count_action(
+    bounds: SafetyBounds,
+    counts: CertificateCounters,
+    vehicle: Vehicle,
+    committed: CheckedTrajectory,
+    tick: int,
+) -> None:
     """Count the action of a UAV that has just been executed in this tick."""
-    v, bounds = tables.batch.escorts[uav, 0], tables.monitored[uav]
-    committed = state.batch.flown[world, v, 0]
-    bare = state.batch.vehicles[world, v].command_tick if committed.plain == 1 else NEVER
-    record_interval(bounds, state.certificates[world, uav], tick, committed.begins, bare)
+    bare = vehicle.command_tick if committed.plain == 1 else NEVER
+    record_interval(bounds, counts, tick, committed.begins, bare)
 
 
-@inlined
-def _record_errors(tables: LoopTables, state: LoopState, world: int, uav: int) -> None:
-    """Record the errors of the detections received by a UAV in this tick, and its tracking error."""
-    bounds, counts, batch = tables.monitored[uav], state.certificates[world, uav], state.batch
-    for n in range(batch.links[world, uav].arrived):
-        packet = batch.packets[world, uav, ARRIVED, n]
-        record_arrival(bounds, counts, int(packet.stamp), packet.error)
-    if tables.batch.disturbances.shape[0] > 0:
-        v = tables.batch.escorts[uav, 0]
-        true = batch.vehicles[world, v].position
-        reference = batch.vehicles[world, v].reference_position
+@compiled
+def _record_errors(
+    monitored: RecordArray,
+    counts: RecordArray,
+    packets: RecordArray,
+    arrived: int,
+    uav: int,
+    vehicle: Vehicle,
+    disturbed: bool,
+) -> None:
+    """Record the errors of the detections received by a UAV in this tick, and its tracking error.
+
+    Args:
+        monitored, counts: `SafetyBounds` and `CertificateCounters` of all UAVs; the counters are changed.
+        packets: `Packet` of each arrived detection.
+        arrived: Their number.
+        uav: Row of the UAV.
+        vehicle: The UAV in the world.
+        disturbed: True if wind or position errors displace it.
+    """
+    for n in range(arrived):
+        packet = packets[n]
+        record_arrival(monitored[uav], counts[uav], int(packet.stamp), packet.error)
+    if disturbed:
+        true, reference = vehicle.position, vehicle.reference_position
         off = norm(true[0] - reference[0], true[1] - reference[1])
-        record_tracking_error(tables.monitored, state.certificates[world], uav, off)
+        record_tracking_error(monitored, counts, uav, off)
 
 
 @inlined
 def _count_actions(tables: LoopTables, state: LoopState, world: int, tick: int) -> None:
     """Count the actions of the UAVs with an active safety filter."""
-    for u in range(tables.batch.escorts.shape[0]):
-        if tables.filtered[u]:
-            _count_action(tables, state, world, u, tick)
+    escorts, filtered, monitored = tables.batch.escorts, tables.filtered, tables.monitored
+    batch, counts = state.batch, state.certificates
+    vehicles, flown = batch.vehicles, batch.flown
+    for u in range(escorts.shape[0]):
+        if filtered[u]:
+            v = escorts[u, 0]
+            committed = flown[world, v, 0]
+            _count_action(monitored[u], counts[world, u], vehicles[world, v], committed, tick)
 
 
 @inlined
 def _count_certificates(tables: LoopTables, state: LoopState, world: int, over: bool) -> None:
     """Update the certificate counters of the UAVs for this tick."""
-    for u in range(tables.batch.escorts.shape[0]):
+    escorts, filtered, monitored = tables.batch.escorts, tables.filtered, tables.monitored
+    disturbed = tables.batch.disturbances.shape[0] > 0
+    batch, counts, standings = state.batch, state.certificates, state.rows.standings
+    vehicles, links, packets = batch.vehicles, batch.links, batch.packets
+    for u in range(escorts.shape[0]):
+        v = escorts[u, 0]
         if over:
-            standing = state.rows.standings[world, tables.batch.escorts[u, 0]]
-            record_end(state.certificates[world, u], standing.lost)
-        elif tables.filtered[u]:
-            _record_errors(tables, state, world, u)
+            record_end(counts[world, u], standings[world, v].lost)
+        elif filtered[u]:
+            come, arrived = packets[world, u, ARRIVED], links[world, u].arrived
+            one = vehicles[world, v]
+            _record_errors(monitored, counts[world], come, arrived, u, one, disturbed)
 
 
 @released

@@ -4,7 +4,12 @@ from agents.drivers.dispatch import driver_command
 from agents.drivers.parameters import DriverInputs
 from agents.drivers.pending_stops import PLAIN, add_stops
 from agents.estimation.batch_filter import estimate
-from agents.estimation.map_updates import encode_block, map_updates_of, next_block
+from agents.estimation.map_updates import (
+    MapUpdateMemory,
+    encode_block,
+    map_updates_of,
+    next_block,
+)
 from agents.laws.dispatch import nominal_command
 from agents.safety.decision import CERTIFIED, NOMINAL
 from agents.safety.pending import add_plans
@@ -15,7 +20,7 @@ from outrider.envs.closed_loop_state import (
     LoopTables,
 )
 from outrider.envs.height_tick import climb, filter_at, occlusion_at
-from outrider.envs.vehicle_parts import coverage_of, filter_of, grid_of, reference_of
+from outrider.envs.vehicle_parts import filter_of, grid_of, map_of, reference_of
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
 from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState
@@ -38,14 +43,14 @@ def _fly(
     actions: FloatArray,
 ) -> None:
     """Write the command of a UAV, and its radio messages."""
-    tick, standing = state.batch.ticks[world], state.rows.standings[world, vehicle]
-    one = state.batch.vehicles[world, vehicle]
+    batch, action_row = state.batch, tables.action_row[vehicle]
+    tick, standing = batch.ticks[world], state.rows.standings[world, vehicle]
+    one = batch.vehicles[world, vehicle]
     here = reference_of(one)
-    filtered = tables.filtered[uav] != 0
     target = estimate(state.kalman, world, uav)
-    committed = state.batch.flown[world, vehicle, 0].begins
-    if tables.action_row[vehicle] < 0:
-        coverage = coverage_of(parameters, state, world, uav)
+    committed = batch.flown[world, vehicle, 0].begins
+    if action_row < 0:
+        coverage = map_of(state.maps, world, uav)
         own = state.uavs[world, uav]
         occlusion = occlusion_at(tables.heights, own, uav, one)
         u_x, u_y = nominal_command(
@@ -53,52 +58,47 @@ def _fly(
         )
         u_z = climb(tables.heights, state, (world, uav), one, here, coverage, target, occlusion)
     else:
-        action = actions[tables.action_row[vehicle]]
+        action = actions[action_row]
         u_x, u_y, u_z = action[0], action[1], action[2]
-    if filtered:
-        memory = filter_of(tables, state.filters, world, uav)
+    if tables.filtered[uav]:
         wanted, bounds = (u_x, u_y, u_z), tables.safety[uav]
+        memory = filter_of(state.filters, bounds, world, uav)
         filter_at(tables.heights, uav, bounds, memory, tick, here, one, wanted, committed)
         decision = memory.decision[0]
         u_x, u_y = decision.acceleration[0], decision.acceleration[1]
         u_z = decision.vertical_acceleration
         certified, overridden = decision.reason == CERTIFIED, decision.source != NOMINAL
         # a pilot without a detection sends no report
-        reports = target.known or tables.action_row[vehicle] >= 0
+        reports = target.known or action_row >= 0
         claim = Claim(certified, reports and overridden, standing.lost, True)
         record_decision(tables.monitored[uav], state.certificates[world, uav], tick, claim)
+        one.outgoing_motion, one.outgoing_motions = add_plans(
+            bounds, memory.pending, tick, batch.motions[world, vehicle]
+        )
     one.outgoing_tick, one.outgoing[0], one.outgoing[1] = tick, u_x, u_y
     one.vertical.outgoing = u_z
-    if filtered:
-        one.outgoing_motion, one.outgoing_motions = add_plans(
-            tables.safety[uav],
-            filter_of(tables, state.filters, world, uav).pending,
-            tick,
-            state.batch.motions[world, vehicle],
-        )
     if parameters.radio:
-        _write_radio(parameters, state, world, uav, tick, here, target)
+        updates = map_updates_of(state.map_updates, world, uav)
+        _write_radio(parameters, state.outbox[world, uav], updates, tick, here, target)
 
 
-@inlined
+@compiled
 def _write_radio(
     parameters: LoopParameters,
-    state: LoopState,
-    world: int,
-    uav: int,
+    outbox: RecordArray,
+    memory: MapUpdateMemory,
     tick: int,
     here: Motion,
     target: Target,
 ) -> None:
     """Write the radio messages of a UAV in this tick into its outbox."""
     known, g_x, g_y = target.known, target.p_x, target.p_y
-    relative, ground = state.outbox[world, uav, _RELATIVE], state.outbox[world, uav, _GROUND]
+    relative, ground = outbox[_RELATIVE], outbox[_GROUND]
     relative.stamp = tick if known and tick % parameters.radio_ticks == 0 else -1.0
     relative.block = -1
     relative.vector[0], relative.vector[1] = here.p_x - g_x, here.p_y - g_y
     ground.stamp = -1.0
     if parameters.map_update_ticks > 0 and known and tick % parameters.map_update_ticks == 0:
-        memory = map_updates_of(state.map_updates, world, uav)
         row, column = next_block(memory, parameters.tile, tick, g_x, g_y)
         if row >= 0:
             ground.stamp = tick
@@ -117,31 +117,26 @@ def _drive(
     actions: FloatArray,
 ) -> None:
     """Write the command of a UGV."""
-    tick, one = state.batch.ticks[world], state.batch.vehicles[world, vehicle]
+    batch, action_row = state.batch, tables.action_row[vehicle]
+    tick, one = batch.ticks[world], batch.vehicles[world, vehicle]
     one.outgoing_tick = tick
-    if tables.action_row[vehicle] >= 0:
-        one.outgoing[0] = actions[tables.action_row[vehicle], 0]
-        one.outgoing[1] = actions[tables.action_row[vehicle], 1]
+    if action_row >= 0:
+        one.outgoing[0], one.outgoing[1] = actions[action_row, 0], actions[action_row, 1]
         return
     script = tables.scripts[tables.script_rows[ugv] : tables.script_rows[ugv + 1]]
     goals = goals_of(tables.batch.goals, tables.batch.goal_rows, ugv)
     radio, arrived = state.inboxes[world, ugv], state.arrived[world, ugv]
     place, here = (world, ugv), reference_of(one)
-    if ground is None:
-        inputs = DriverInputs(goals, script, radio, arrived, None, PLAIN)
-        one.outgoing[0], one.outgoing[1] = driver_command(
-            tables.drivers, state.drivers, place, inputs, tick, here
-        )
-    else:
-        memory = grid_of(tables, state, world, ugv)
-        committed = state.batch.flown[world, vehicle, 0].begins if one.follows_motions else PLAIN
-        inputs = DriverInputs(goals, script, radio, arrived, memory, committed)
-        one.outgoing[0], one.outgoing[1] = driver_command(
-            tables.drivers, state.drivers, place, inputs, tick, here
-        )
+    committed = batch.flown[world, vehicle, 0].begins if one.follows_motions else PLAIN
+    memory = grid_of(state.grids, tables.late[ugv], world, ugv)
+    inputs = DriverInputs(goals, script, radio, arrived, memory, committed)
+    one.outgoing[0], one.outgoing[1] = driver_command(
+        tables.drivers, state.drivers, place, inputs, tick, here
+    )
+    if ground is not None:
         record_claim(ground.missions[world], ugv, memory.flags[0].claim)
         if one.follows_motions:
-            motions = state.batch.motions[world, vehicle]
+            motions = batch.motions[world, vehicle]
             one.outgoing_motion, one.outgoing_motions = add_stops(memory, tick, motions)
 
 

@@ -9,6 +9,7 @@ from agents.safety.memory import FilterMemory
 from agents.uav_parameters import Target, UavParameters
 from outrider.envs.closed_loop_state import HeightTables, LoopState
 from sim.compiling.compile import FloatArray, compiled
+from sim.compiling.dispatch import unless_none
 from sim.engine.world_state import Vehicle
 from sim.models.camera import sensor_at
 from sim.models.safety import SafetyBounds
@@ -17,25 +18,29 @@ from sim.models.vehicles import Motion
 
 
 @compiled
-def occlusion_at(
-    heights: HeightTables | None, uav: UavParameters, row: int, vehicle: Vehicle
-) -> Any:  # noqa: ANN401 - its type depends on the first argument
-    """Set a UAV's sensor to its altitude, and return the known buildings as seen from there; None in the plane.
+def _occlusion_in_plane(heights: None, uav: UavParameters, row: int, vehicle: Vehicle) -> None:
+    return None
 
-    Args:
-        heights: Tables of the altitudes; None: all UAVs fly in the plane.
-        uav: Constants of the UAV; changed.
-        row: Row of the UAV in the tables.
-        vehicle: The UAV in the world.
-    """
-    if heights is None:
-        return None
+
+@compiled
+def _occlusion_at(
+    heights: HeightTables, uav: UavParameters, row: int, vehicle: Vehicle
+) -> Occlusion:
     own, law = vehicle.vertical, heights.laws[row]
     if own.flies:
         found = sensor_at(law.sensor, law.camera, own.altitude)
         sensor: Any = uav.sensor
         sensor.peak, sensor.reach = found.peak, found.reach
     return Occlusion(heights.buildings, heights.corners, own.altitude)
+
+
+occlusion_at = unless_none(_occlusion_at, _occlusion_in_plane)
+"""`occlusion_at(heights, uav, row, vehicle)`: set a UAV's sensor to its altitude, and return the known buildings as
+seen from there; None in the plane.
+
+`heights`: tables of the altitudes, None: all UAVs fly in the plane; `uav`: constants of the UAV, changed; `row`: its
+row in the tables; `vehicle`: the UAV in the world.
+"""
 
 
 @compiled

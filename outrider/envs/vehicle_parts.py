@@ -3,16 +3,17 @@
 from agents.drivers.tile_map import OccupancyGrid
 from agents.safety.memory import FilterMemory
 from agents.safety.pending import PendingCommands
-from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
 from sim.compiling.compile import FloatArray, compiled, inlined
+from sim.compiling.dispatch import unless_none
 from sim.engine.world_state import Vehicle
+from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion
 
 
 @inlined
-def filter_of(tables: LoopTables, filters: FilterMemory, world: int, uav: int) -> FilterMemory:
+def filter_of(filters: FilterMemory, bounds: SafetyBounds, world: int, uav: int) -> FilterMemory:
     """Return the memory of a UAV's safety filter."""
-    delay, pending = tables.safety[uav].delay_ticks, filters.pending
+    delay, pending = bounds.delay_ticks, filters.pending
     return FilterMemory(
         filters.discs[world, uav],
         filters.plan[world, uav],
@@ -27,10 +28,13 @@ def filter_of(tables: LoopTables, filters: FilterMemory, world: int, uav: int) -
     )
 
 
-@inlined
-def grid_of(tables: LoopTables, state: LoopState, world: int, ugv: int) -> OccupancyGrid:
-    """Return the occupancy grid of a UGV."""
-    grids = state.grids
+@compiled
+def _no_grid(grids: None, late: int, world: int, ugv: int) -> None:
+    return None
+
+
+@compiled
+def _grid_of(grids: OccupancyGrid, late: int, world: int, ugv: int) -> OccupancyGrid:
     return OccupancyGrid(
         grids.tiles[world, ugv],
         grids.measured[world, ugv],
@@ -39,19 +43,23 @@ def grid_of(tables: LoopTables, state: LoopState, world: int, ugv: int) -> Occup
         grids.cost[world, ugv],
         grids.heap[world, ugv],
         grids.place[world, ugv],
-        grids.sent[world, ugv, : tables.late[ugv]],
+        grids.sent[world, ugv, :late],
         grids.committed[world, ugv],
         grids.flags[world, ugv],
     )
 
 
-@inlined
-def coverage_of(parameters: LoopParameters, state: LoopState, world: int, uav: int) -> FloatArray:
-    """Return the coverage grid of a UAV: its own, or its world's."""
-    coverage: FloatArray = (
-        state.maps[world, uav] if parameters.own_maps else state.batch.coverage[world]
-    )
-    return coverage
+grid_of = unless_none(_grid_of, _no_grid)
+"""`grid_of(grids, late, world, ugv)`: occupancy grid of a UGV, with this number of pending commands; None without
+ground.
+"""
+
+
+@compiled
+def map_of(maps: FloatArray, world: int, uav: int) -> FloatArray:
+    """Return the map of a UAV, which may be common to all UAVs of its world."""
+    own: FloatArray = maps[world, min(uav, maps.shape[1] - 1)]
+    return own
 
 
 @compiled

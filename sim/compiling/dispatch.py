@@ -1,11 +1,11 @@
 # ruff: noqa: ANN401 - numba infers these types
-"""Selection among compiled functions by an integer, with numba's public `overload`.
+"""Selection among compiled functions by an integer, or by an argument that may be None, with numba's `overload`.
 
 Functions passed as arguments would be compiled again in each process. Here the caller's compiled code contains the
 functions, so that the cache stores it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,9 @@ from numba import types
 from numba.extending import overload, register_jitable
 
 Function = Callable[..., Any]
+
+_BRANCHES = 3
+"""Branches of a selection. Each of its levels compiles the functions below again, so a long chain compiles slowly."""
 
 
 def choice(functions: Sequence[Function]) -> Function:
@@ -52,51 +55,83 @@ def choice(functions: Sequence[Function]) -> Function:
     return call
 
 
-def commands(functions: Sequence[Function]) -> Function:
+def unless_none(given: Function, none: Function) -> Function:
+    """Return a function that calls `given(first, *others)`, or `none(first, *others)` if its first argument is None.
+
+    Compiled code contains only one of them. After a test `first is None`, numba would compile both, and join their
+    results.
+    """
+
+    def call(first: Any, *others: Any) -> Any:
+        return none(first, *others) if first is None else given(first, *others)
+
+    @overload(call, jit_options={"error_model": "numpy"})
+    def _call(first: Any, *others: Any) -> Function:
+        one = none if isinstance(first, types.NoneType) else given
+
+        def chosen(first: Any, *others: Any) -> Any:
+            return one(first, *others)
+
+        return chosen
+
+    return call
+
+
+def commands(functions: Mapping[str, Function]) -> Function:
     """Return a function for compiled code that computes a vehicle's command by its own law or driver.
 
-    `call(code, vehicle, parameters, memories, place, inputs)` calls the function of this code as `function(vehicle,
-    parameters[code][row], memories[code][place], *inputs)`, where place is (world, row). `parameters` and `memories`
-    are tuples of structured arrays, one for each function. A function whose parameters are None is not compiled; if it
-    is called nevertheless, the command is NaN.
+    `call(code, vehicle, parameters, memory, inputs)` calls the function with this index as `function(vehicle,
+    parameters.name, memory.name, *inputs)`. Both records nest one record for each name. A function whose name they lack
+    is not compiled; if it is called nevertheless, the command is NaN.
 
     Args:
-        functions: Compiled functions, one for each code.
+        functions: Compiled functions by name.
     """
 
     def call(
-        code: Any, vehicle: Any, parameters: Any, memories: Any, place: Any, inputs: Any
+        code: Any, vehicle: Any, parameters: Any, memory: Any, inputs: Any
     ) -> tuple[float, float]:
         raise NotImplementedError("for compiled code only")
 
-    def chain(codes: list[int]) -> Function:
-        if not codes:
-            none: Function = register_jitable(lambda *_: (np.nan, np.nan))
-            return none
-        k, others = codes[0], chain(codes[1:])
-        function = functions[k]
+    def among(rows: list[tuple[int, str]]) -> Function:
+        if len(rows) <= _BRANCHES:
+            return last(*(rows * _BRANCHES)[:_BRANCHES])
+        size = (len(rows) + 1) // _BRANCHES
+        first, second, third = among(rows[:size]), among(rows[size:-size]), among(rows[-size:])
+        begin, end = rows[size][0], rows[-size][0]
 
         @register_jitable
-        def choose(
-            code: Any, vehicle: Any, parameters: Any, memories: Any, place: Any, inputs: Any
-        ) -> Any:
+        def choose(code: Any, vehicle: Any, parameters: Any, memory: Any, inputs: Any) -> Any:
+            if code < begin:
+                return first(code, vehicle, parameters, memory, inputs)
+            if code < end:
+                return second(code, vehicle, parameters, memory, inputs)
+            return third(code, vehicle, parameters, memory, inputs)
+
+        return choose
+
+    def last(a: tuple[int, str], b: tuple[int, str], c: tuple[int, str]) -> Function:
+        (i, own_i), (j, own_j), (k, own_k) = a, b, c
+        first, second, third = functions[own_i], functions[own_j], functions[own_k]
+
+        @register_jitable
+        def choose(code: Any, vehicle: Any, parameters: Any, memory: Any, inputs: Any) -> Any:
+            if code == i:
+                return first(vehicle, parameters[own_i], memory[own_i], *inputs)
+            if code == j:
+                return second(vehicle, parameters[own_j], memory[own_j], *inputs)
             if code == k:
-                return function(vehicle, parameters[k][place[1]], memories[k][place], *inputs)
-            return others(code, vehicle, parameters, memories, place, inputs)
+                return third(vehicle, parameters[own_k], memory[own_k], *inputs)
+            return np.nan, np.nan
 
         return choose
 
     @overload(call, jit_options={"error_model": "numpy"})
-    def _call(
-        code: Any, vehicle: Any, parameters: Any, memories: Any, place: Any, inputs: Any
-    ) -> Function:
-        kinds = enumerate(parameters.types)
-        choose = chain([k for k, kind in kinds if not isinstance(kind, types.NoneType)])
+    def _call(code: Any, vehicle: Any, parameters: Any, memory: Any, inputs: Any) -> Function:
+        choose = among([(k, one) for k, one in enumerate(functions) if one in parameters.fields])
 
-        def chosen(
-            code: Any, vehicle: Any, parameters: Any, memories: Any, place: Any, inputs: Any
-        ) -> Any:
-            return choose(code, vehicle, parameters, memories, place, inputs)
+        def chosen(code: Any, vehicle: Any, parameters: Any, memory: Any, inputs: Any) -> Any:
+            return choose(code, vehicle, parameters, memory, inputs)
 
         return chosen
 

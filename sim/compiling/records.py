@@ -5,7 +5,7 @@ A call from Python passes one array for all fields, and a record needs no refere
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
 from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -21,6 +21,8 @@ Pair = Annotated[npt.NDArray[np.float64], (2,)]
 
 _T = TypeVar("_T")
 _E = TypeVar("_E", bound=Enum)
+_UNUSED = "unused"
+"""Column of a record of a class without fields, as numba cannot nest an empty one."""
 _KINDS = {float: np.float64, int: np.int64, bool: np.bool_, np.uint64: np.uint64}
 
 
@@ -37,7 +39,12 @@ def record_type(fields: type) -> np.dtype[np.void]:
         name for one in fields.__mro__ for name in vars(one).get("__annotations__", {})
     )
     columns = [(name, *column) for name in names if (column := _column(hints[name]))]
-    return np.dtype(columns, align=True)
+    return np.dtype(columns or [(_UNUSED, np.uint8)], align=True)
+
+
+def nested_type(parts: Mapping[str, type]) -> np.dtype[np.void]:
+    """Return the dtype of a record that nests one record of each class."""
+    return np.dtype([(name, record_type(fields)) for name, fields in parts.items()], align=True)
 
 
 def _column(hint: Any) -> tuple[Any, ...]:  # noqa: ANN401 - a type, as it is annotated
@@ -58,7 +65,7 @@ def _column(hint: Any) -> tuple[Any, ...]:  # noqa: ANN401 - a type, as it is an
         return (np.float64, (2,))
     if isinstance(hint, type) and origin is None and "__annotations__" in vars(hint):
         nested = record_type(hint)
-        return (nested,) if nested.names else ()
+        return (nested,) if nested.names != (_UNUSED,) else ()
     return ()
 
 
@@ -75,6 +82,8 @@ def choice(kinds: type[_E], number: int) -> _E | None:
 def fill(row: Any, value: Any) -> None:  # noqa: ANN401 - a record, and what its class was made from
     """Write an object into a record, field by field; None becomes infinity."""
     for name in row.dtype.names:
+        if name == _UNUSED:
+            continue
         given = getattr(value, name)
         if row.dtype[name].names:
             fill(row[name], given)
@@ -101,4 +110,12 @@ def fresh(fields: type, shape: tuple[int, ...] = (1,)) -> RecordArray:
     table = np.zeros(shape, dtype=record_type(fields))
     for name in table.dtype.names or ():
         table[name] = getattr(fields, name, 0)
+    return table
+
+
+def fresh_nested(parts: Mapping[str, type], shape: tuple[int, ...]) -> RecordArray:
+    """Return a table of records that nest one new record of each class."""
+    table = np.zeros(shape, dtype=nested_type(parts))
+    for name, fields in parts.items():
+        table[name] = fresh(fields, shape)
     return table

@@ -1,9 +1,9 @@
 """Compiled tick of altitude, camera and buildings; nothing of it is compiled for planar scenarios."""
 
 import math
-from typing import Any
 
 from sim.compiling.compile import FloatArray, IntArray, compiled
+from sim.compiling.dispatch import unless_none
 from sim.compiling.records import RecordArray
 from sim.engine.space_state import TownState
 from sim.engine.world_state import BatchState, Vehicle, WorldParameters
@@ -28,11 +28,17 @@ _OFF_WALL = 1e-6
 
 
 @compiled
-def occlusion_of(town: TownState | None, world: int, z: float) -> Occlusion | None:
-    """Return the buildings of a world as a camera at altitude z sees them; None: no buildings."""
-    if town is None:
-        return None
+def _occlusion(town: TownState, world: int, z: float) -> Occlusion:
     return Occlusion(town.buildings[world], town.corners[world], z)
+
+
+@compiled
+def _no_occlusion(town: None, world: int, z: float) -> None:
+    return None
+
+
+occlusion_of = unless_none(_occlusion, _no_occlusion)
+"""`occlusion_of(town, world, z)`: the buildings of a world as a camera at altitude z sees them; None: no buildings."""
 
 
 @compiled
@@ -78,19 +84,26 @@ def measure_sight(
 
 
 @compiled
-def look_down(
+def look(
     numbers: WorldParameters,
-    coverage: FloatArray,
-    town: TownState | None,
-    world: int,
-    camera: CameraParameters,
+    state: BatchState,
+    cameras: RecordArray | None,
+    place: tuple[int, int],
     uav: Vehicle,
     ugv: Vehicle,
 ) -> None:
-    """Update the coverage with a UAV's sensor at its altitude, (3); hidden cells gain nothing."""
-    z = uav.vertical.altitude
-    sensor = sensor_at(numbers.sensor, camera, z)
-    occlusion = occlusion_of(town, world, z)
+    """Update the coverage with a UAV's sensor at its altitude, (3); hidden cells gain nothing.
+
+    Args:
+        numbers: Parameters of the world.
+        state: State of all worlds; coverage and the UAV's gain are changed.
+        cameras: `CameraParameters` of each UAV; None: they fly in the plane.
+        place: World, and row among the UAVs.
+        uav, ugv: The UAV and its UGV in the world.
+    """
+    world, k = place
+    coverage = state.coverage[world]
+    sensor, occlusion = view_of(cameras, numbers, state.town, world, k, uav)
     x, y = uav.position[0], uav.position[1]
     if numbers.gains:
         demand = Demand(ugv.position[0], ugv.position[1], numbers.r_o, numbers.desired)
@@ -102,16 +115,16 @@ def look_down(
 
 
 @compiled
-def detect_below(
+def _detect_below(
+    cameras: RecordArray,
     numbers: WorldParameters,
     town: TownState | None,
-    world: int,
-    camera: CameraParameters,
+    place: tuple[int, int, int],
     uav: Vehicle,
     ugv: Vehicle,
-    tick: int,
 ) -> None:
-    """Run a UAV's detector of its UGV at its altitude; a hidden UGV is not detected."""
+    (world, k, tick) = place
+    camera = cameras[k]
     if not _sees(town, world, camera, uav, ugv):
         return
     z = uav.vertical.altitude
@@ -128,6 +141,36 @@ def detect_below(
         key_of(uav.keys, DETECTION_CHANCE),
         tick,
     )
+
+
+@compiled
+def _detect_in_plane(
+    cameras: None,
+    numbers: WorldParameters,
+    town: TownState | None,
+    place: tuple[int, int, int],
+    uav: Vehicle,
+    ugv: Vehicle,
+) -> None:
+    _, uav.detection[0], uav.detection[1] = detect(
+        uav.position[0] - ugv.position[0],
+        uav.position[1] - ugv.position[1],
+        numbers.r_v,
+        numbers.sensor.reach,
+        numbers.dropout,
+        numbers.sigma,
+        numbers.cut,
+        key_of(uav.keys, DETECTION_NOISE),
+        key_of(uav.keys, DETECTION_CHANCE),
+        place[2],
+    )
+
+
+run_detector = unless_none(_detect_below, _detect_in_plane)
+"""`run_detector(cameras, numbers, town, place, uav, ugv)`: run a UAV's detector of its UGV at its altitude.
+
+A hidden UGV is not detected. `place`: world, row among the UAVs, and tick.
+"""
 
 
 @compiled
@@ -216,17 +259,31 @@ def climb_all(
 
 
 @compiled
-def view_of(
+def _view_below(
+    cameras: RecordArray,
     numbers: WorldParameters,
     town: TownState | None,
     world: int,
-    cameras: RecordArray | None,
     k: int,
     uav: Vehicle,
-) -> Any:  # noqa: ANN401 - its second part depends on the town
-    """Return the sensor of the k-th UAV at its altitude, and the buildings as it sees them; None: there are none."""
-    if cameras is None:
-        plain = numbers.sensor
-        return SensorParameters(plain.model, plain.peak, plain.reach), None
+) -> tuple[SensorParameters, Occlusion | None]:
     z = uav.vertical.altitude
     return sensor_at(numbers.sensor, cameras[k], z), occlusion_of(town, world, z)
+
+
+@compiled
+def _view_in_plane(
+    cameras: None,
+    numbers: WorldParameters,
+    town: TownState | None,
+    world: int,
+    k: int,
+    uav: Vehicle,
+) -> tuple[SensorParameters, None]:
+    plain = numbers.sensor
+    return SensorParameters(plain.model, plain.peak, plain.reach), None
+
+
+view_of = unless_none(_view_below, _view_in_plane)
+"""`view_of(cameras, numbers, town, world, k, uav)`: sensor of the k-th UAV at its altitude, and buildings as it sees
+them; None: there are none."""

@@ -11,20 +11,18 @@ from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState
 from sim.engine.ground_tick import drive_on, perceive_ground, store_positions
 from sim.engine.mission import record_mission
-from sim.engine.space_state import TownState
 from sim.engine.space_tick import (
     climb_all,
-    detect_below,
     keep_places,
-    look_down,
+    look,
     measure_sight,
+    run_detector,
 )
 from sim.engine.world_state import BatchState, BatchTables, Vehicle, WorldParameters
-from sim.models.detection import detect
-from sim.models.field import Demand, accumulate, accumulate_with_gain, coverage_error
+from sim.models.field import coverage_error
 from sim.models.inner_loop import step_error
 from sim.models.motion import NO_MOTION, follow_on, motion_command, waited
-from sim.models.randomness import DETECTION_CHANCE, DETECTION_NOISE, DISTURBANCE, key_of
+from sim.models.randomness import DISTURBANCE, key_of
 from sim.models.vehicles import brake, norm, step_vehicle, within_walls
 from sim.models.wind import draw_disturbance
 
@@ -79,65 +77,6 @@ def _reset_to_reference(vehicle: Vehicle) -> None:
     for i in range(2):
         vehicle.position[i] = vehicle.reference_position[i]
         vehicle.velocity[i] = vehicle.reference_velocity[i]
-
-
-@compiled
-def _look(
-    numbers: WorldParameters,
-    state: BatchState,
-    cameras: RecordArray | None,
-    world: int,
-    k: int,
-    uav: Vehicle,
-    ugv: Vehicle,
-) -> None:
-    """Update the coverage with the sensor of the k-th UAV, (3)."""
-    coverage, place = state.coverage[world], uav.position
-    if cameras is not None:
-        look_down(numbers, coverage, state.town, world, cameras[k], uav, ugv)
-    elif numbers.gains:
-        uav.gain = accumulate_with_gain(
-            coverage,
-            place[0],
-            place[1],
-            Demand(ugv.position[0], ugv.position[1], numbers.r_o, numbers.desired),
-            numbers.sensor,
-            numbers.cell,
-            numbers.dt,
-        )
-    else:
-        accumulate(coverage, place[0], place[1], numbers.sensor, numbers.cell, numbers.dt)
-
-
-@compiled
-def _detect(
-    numbers: WorldParameters,
-    town: TownState | None,
-    cameras: RecordArray | None,
-    place: tuple[int, int, int],
-    uav: Vehicle,
-    ugv: Vehicle,
-) -> None:
-    """Run a UAV's detector of its UGV, if it is due. `place`: world, row among the UAVs, and tick."""
-    world, k, tick = place
-    uav.detection[0], uav.detection[1] = np.nan, np.nan
-    if tick % numbers.period != 0:
-        return
-    if cameras is not None:
-        detect_below(numbers, town, world, cameras[k], uav, ugv, tick)
-    else:
-        _, uav.detection[0], uav.detection[1] = detect(
-            uav.position[0] - ugv.position[0],
-            uav.position[1] - ugv.position[1],
-            numbers.r_v,
-            numbers.sensor.reach,
-            numbers.dropout,
-            numbers.sigma,
-            numbers.cut,
-            key_of(uav.keys, DETECTION_NOISE),
-            key_of(uav.keys, DETECTION_CHANCE),
-            tick,
-        )
 
 
 @compiled
@@ -293,15 +232,12 @@ def _perceive(
         perceive_ground(tables, ground, state, world)
         record_mission(tables, state, ground, world)
     for u in range(tables.escorts.shape[0]):
-        uav, ugv = tables.escorts[u, 0], tables.escorts[u, 1]
-        _detect(
-            numbers,
-            state.town,
-            tables.cameras,
-            (world, u, state.ticks[world]),
-            state.vehicles[world, uav],
-            state.vehicles[world, ugv],
-        )
+        uav = state.vehicles[world, tables.escorts[u, 0]]
+        ugv = state.vehicles[world, tables.escorts[u, 1]]
+        uav.detection[0], uav.detection[1] = np.nan, np.nan
+        tick = state.ticks[world]
+        if tick % numbers.period == 0:
+            run_detector(tables.cameras, numbers, state.town, (world, u, tick), uav, ugv)
 
 
 @inlined
@@ -324,15 +260,8 @@ def move(tables: BatchTables, state: BatchState, ground: GroundState | None, wor
         apply_disturbance(disturbed)
     for u in range(tables.escorts.shape[0]):
         uav, ugv = tables.escorts[u, 0], tables.escorts[u, 1]
-        _look(
-            numbers,
-            state,
-            tables.cameras,
-            world,
-            u,
-            state.vehicles[world, uav],
-            state.vehicles[world, ugv],
-        )
+        vehicles = state.vehicles[world]
+        look(numbers, state, tables.cameras, (world, u), vehicles[uav], vehicles[ugv])
     _perceive(tables, state, ground, world)
 
 
