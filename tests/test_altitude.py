@@ -148,8 +148,8 @@ def test_a_change_of_driver_that_ends_the_clearance_is_reported() -> None:
 
 
 def test_the_hash_of_a_trajectory_covers_the_altitude() -> None:
-    """Without noise and buildings, the law `tracking` flies the same way at both altitudes."""
-    changes = ["law.name=tracking", "detections.noise=0", "duration=1", "building_field=[]"]
+    """Without noise, the law `tracking` flies the same way at both altitudes."""
+    changes = ["law.name=tracking", "detections.noise=0", "duration=1"]
     flights = [
         fly(load_scenario("town", overrides=[*changes, f"uav.0.initial_altitude={z}"]), 7)[0]
         for z in (14.0, 15.0)

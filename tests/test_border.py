@@ -93,7 +93,7 @@ def _between(share: float, center: float, way: float, size: float) -> float:
     st.lists(places, max_size=2),
     st.sampled_from(({}, {"max_acceleration": 50.0}, UNBOUNDED)),
 )
-@settings(PROPERTY, max_examples=60)
+@settings(PROPERTY, max_examples=25)
 def test_the_coverage_law_never_reaches_the_border(ugv, share, speed, course, k_v, goals, limits):
     velocity = (speed * math.cos(course), speed * math.sin(course))
     stop = speed / (2.0 * U_A) + 2.0 * DT  # a UAV that could not stop in time is excluded

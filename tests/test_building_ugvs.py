@@ -22,7 +22,7 @@ from sim.models.ground import CLEAR, UNSEEN, add_polygon
 from sim.models.hazards import BLOCK
 from sim.scenario.checks import scenario_warnings
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Ground, Scenario, Ugv
+from sim.scenario.types import Ground, Scenario, Uav, Ugv
 from sim.scene.ground_map import KNOWN, UNKNOWN, ground_map
 from sim.world import World
 from test_ground_flights import assert_batch_flies_alike
@@ -36,11 +36,14 @@ def town() -> Scenario:
     return load_scenario("town")
 
 
+ABOVE = Uav(position=(7.0, 8.8), initial_altitude=9.0)
+
+
 def pushed(one: Scenario, u_x: float, u_y: float, ticks: int = 400) -> World:
-    """The world after its only UGV has driven under a constant command."""
+    """The world after its UGV has driven under a constant command, below a UAV at rest."""
     world = World(one, 1)
     for _ in range(ticks):
-        world.step(np.array([[u_x, u_y]]))
+        world.step(np.array([[0.0, 0.0], [u_x, u_y]]))
     return world
 
 
@@ -110,10 +113,10 @@ def test_no_report_opens_a_tile_near_a_known_building() -> None:
 
 
 def test_observers_see_buildings_that_are_known_from_the_start() -> None:
-    find = Hazard(kind="find", center=(30.0, 30.0), radius=0.3)
+    given = {"uav": (ABOVE,), "hazard": (Hazard(kind="find", center=(30.0, 30.0), radius=0.3),)}
     shown = {}
     for known in (True, False):
-        told = ground_map(World(scenario(hazard=(find,), buildings={"known": known}), 1))
+        told = ground_map(World(scenario(**given, buildings={"known": known}), 1))
         assert [hazard.polygon for hazard in told.hazards] == [(), HOUSE.polygon]
         shown[known] = list(told.states), np.frombuffer(told.tiles, np.uint8)
     assert shown[True][0] == [UNKNOWN, KNOWN]
@@ -133,13 +136,14 @@ def test_a_building_stops_a_ugv_whatever_a_touch_does() -> None:
     disc = Hazard(kind="block", center=(8.9, 12.0), radius=0.2)
     mine = Hazard(kind="block", center=(10.0, 12.0), radius=0.05)  # in its wall, touched first
     ugv = Ugv(position=(8.0, 12.0))
-    one = scenario(ugv, hazard=(disc, mine), ground=Ground(touch="damage"), building=(HOUSE,))
+    hazards = {"hazard": (disc, mine), "ground": Ground(touch="damage")}
+    one = scenario(ugv, uav=(ABOVE,), **hazards)
     world = pushed(one, 0.1, 0.0)
-    assert world.position[0].tolist() == pytest.approx([10.0, 12.0])
-    assert world.velocity[0].tolist() == [0.0, 0.0]
+    assert world.position[1].tolist() == pytest.approx([10.0, 12.0])
+    assert world.velocity[1].tolist() == [0.0, 0.0]
     assert world.mission.hazards_hit == 3
     away = pushed(one, -0.1, 0.0)
-    assert away.position[0, 0] < 5.0
+    assert away.position[1, 0] < 5.0
     assert away.mission.hazards_hit == 0
 
 

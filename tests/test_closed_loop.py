@@ -245,5 +245,7 @@ def test_ended_episode_restarts_like_the_first() -> None:
 
 def test_a_world_of_the_shipped_escort_needs_less_than_300_kb() -> None:
     state = ClosedLoop(load_scenario("escort"), 2).state
-    sizes = {array.ctypes.data: array.nbytes for array in arrays_of(state)}  # the map is the coverage
+    sizes = {
+        array.ctypes.data: array.nbytes for array in arrays_of(state)
+    }  # the map is the coverage
     assert sum(sizes.values()) < 2 * 300_000
