@@ -8,7 +8,7 @@ from sim.compiling.records import RecordArray
 from sim.engine.space_state import TownState
 from sim.engine.world_state import BatchState, Vehicle, WorldParameters
 from sim.models.altitude import level_off, step_altitude
-from sim.models.buildings import building_distance, line_of_sight, path_meets_building
+from sim.models.buildings import line_of_sight, path_meets_building
 from sim.models.camera import (
     CameraParameters,
     noise_at,
@@ -18,6 +18,7 @@ from sim.models.camera import (
 )
 from sim.models.detection import detect
 from sim.models.field import Demand, accumulate, accumulate_with_gain
+from sim.models.polygons import distance_to_polygon
 from sim.models.randomness import DETECTION_CHANCE, DETECTION_NOISE, key_of
 from sim.models.sensor import SensorParameters
 from sim.models.shadows import Occlusion
@@ -180,11 +181,12 @@ def _roof_below(
     """Return the lowest altitude over the buildings at a point that a UAV above them may fly at [m]; 0 beside them."""
     lowest = 0.0
     for k in range(buildings.shape[0]):
-        height = buildings[k]["height"]
-        if height <= 0.0 or height + uav.vertical.clearance <= lowest:
+        row = buildings[k]
+        height, d_x, d_y = row["height"], x - row["x"], y - row["y"]
+        if height <= 0.0 or d_x * d_x + d_y * d_y > row["reach"] * row["reach"]:
             continue
-        if building_distance(buildings[k : k + 1], corners, x, y, 0.0) == 0.0:
-            lowest = height + uav.vertical.clearance
+        if distance_to_polygon(corners, row["first"], row["corners"], x, y) == 0.0:
+            lowest = max(lowest, height + uav.vertical.clearance)
     return lowest
 
 

@@ -73,6 +73,22 @@ def _in_registers(sensor: SensorParameters) -> SensorParameters:
 
 
 @compiled
+def _accumulate_row(
+    cells: FloatArray,
+    first: int,
+    p_x: float,
+    d_y: float,
+    sensor: SensorParameters,
+    cell: float,
+    duration: float,
+) -> None:
+    """Add the coverage of the cells of a row, from column `first` on, at the distance d_y from the sensor [m]."""
+    for i in range(cells.size):
+        d_x = (first + i + 0.5) * cell - p_x
+        cells[i] += sensor_quality(sensor, d_x * d_x + d_y * d_y) * duration
+
+
+@compiled
 def accumulate(
     coverage: FloatArray,
     p_x: float,
@@ -101,16 +117,17 @@ def accumulate(
         shadow = cast_shadow(occlusion, p_x, p_y, seeing.reach, cell, first_row, chords)
     for n in range(chords.shape[1]):
         j, first, end = first_row + n, chords[0, n], chords[1, n]
-        d_y = (j + 0.5) * cell - p_y
-        cells = coverage[j, first:end]
-        if occlusion is not None:
+        cells, d_y = coverage[j, first:end], (j + 0.5) * cell - p_y
+        if occlusion is None:
+            _accumulate_row(cells, first, p_x, d_y, seeing, cell, duration)
+        elif shadow.span[0, n] >= shadow.span[1, n]:
+            _accumulate_row(cells, first, p_x, d_y, seeing, cell, duration)
+        else:
             winding = shadow.winding[n, LANES:]
-        for i in range(cells.size):
-            d_x = (first + i + 0.5) * cell - p_x
-            gain = sensor_quality(seeing, d_x * d_x + d_y * d_y) * duration
-            if occlusion is not None:
-                gain = gain if winding[i] <= 0 else 0.0
-            cells[i] += gain
+            for i in range(cells.size):
+                d_x = (first + i + 0.5) * cell - p_x
+                gain = sensor_quality(seeing, d_x * d_x + d_y * d_y) * duration
+                cells[i] += gain if winding[i] <= 0 else 0.0
 
 
 @compiled

@@ -47,8 +47,11 @@ class Shadow(NamedTuple):
     """Twice the winding number at each cell of a chord: positive if the cell is hidden. While outlines are added, its
     change from the cell to the left. The first cell of a chord is at `LANES`. Shape (rows, columns + 2 LANES).
     """
-    dark: npt.NDArray[np.uint8]
-    """1: the row may contain hidden cells. Shape (rows,)."""
+    span: IntArray
+    """First cell of each row that may be hidden, and the one after the last, counted from its chord. Shape (2, rows).
+
+    Without such cells, the first is not below the end.
+    """
 
 
 @compiled
@@ -65,7 +68,7 @@ def _add_side(shadow: Shadow, u: Corner, v: Corner, turn: int) -> None:
         v: End of the side.
         turn: 1; -1 for a side from v to u.
     """
-    (u_column, u_row), (v_column, v_row), rows = u, v, float(shadow.dark.size)
+    (u_column, u_row), (v_column, v_row), rows = u, v, float(shadow.span.shape[1])
     low, high = min(u_row, v_row), max(u_row, v_row)
     begin, end = int(max(np.ceil(low), 0.0)), int(min(np.floor(high) + 1.0, rows))
     if end <= begin or low == high:
@@ -79,7 +82,8 @@ def _add_side(shadow: Shadow, u: Corner, v: Corner, turn: int) -> None:
         place = int(max(min(column, behind), first) - first)  # a chord may be empty
         weight = 2 - (n <= low) - (n >= high)
         shadow.winding[n, LANES + place] += weight if left else -weight
-        shadow.dark[n] = 1
+        shadow.span[0, n] = min(shadow.span[0, n], place)
+        shadow.span[1, n] = max(shadow.span[1, n], place)
 
 
 @compiled
@@ -155,8 +159,9 @@ def cast_shadow(
     shadow = Shadow(
         chords,
         np.zeros((rows, columns + 2 * LANES), dtype=np.int16),
-        np.zeros(rows, dtype=np.uint8),
+        np.zeros((2, rows), dtype=np.int64),
     )
+    shadow.span[0] = columns
     per_cell, bottom = 1.0 / cell, first_row + 0.5
     camera = x * per_cell - 0.5, y * per_cell - bottom
     for k in range(occlusion.buildings.shape[0]):
@@ -165,11 +170,12 @@ def cast_shadow(
         if d_x * d_x + d_y * d_y <= far * far:
             _add_building(shadow, occlusion, k, camera, per_cell, bottom)
     for n in range(rows):
-        if shadow.dark[n]:
-            winding, row_winding = 0, shadow.winding[n]
-            for i in range(LANES, LANES + chords[1, n] - chords[0, n]):
-                winding += row_winding[i]
-                row_winding[i] = winding
+        winding, row_winding = 0, shadow.winding[n, LANES:]
+        for i in range(
+            shadow.span[0, n], shadow.span[1, n] + 1
+        ):  # beyond, the winding number is 0 again
+            winding += row_winding[i]
+            row_winding[i] = winding
     return shadow
 
 
