@@ -22,10 +22,9 @@ import numpy.typing as npt
 import pytest
 
 from outrider import parallel_env, vector_env
-from sim.models.buildings import building_table
+from sim.engine.batch import Batch
 from sim.models.field import accumulate, coverage_error, coverage_gradient
 from sim.models.sensor import SensorParameters
-from sim.models.shadows import Occlusion
 from sim.scenario.loading import load_scenario
 from sim.world import World
 
@@ -146,44 +145,50 @@ def test_env_step(benchmark: Any, side: Callable[[], Work]) -> None:
     time_steps(benchmark, side())
 
 
-def town() -> Occlusion:
-    """Return 30 blocks with sides of 4 m to 6.5 m and heights of 3 m to 8 m, for a camera at 10 m."""
+@contextmanager
+def _batch_step(ground: str) -> Iterator[tuple[Callable[[], object], int]]:
+    """A UAV at 14 m above a UGV that drives from the corner of the area, on this ground."""
+    changes = ["building_field=[]", 'ugv.0.driver="waypoints"', "ugv.0.building_clearance=0"]
+    start = ["ugv.0.position=[0.7, 0.7]", "ugv.0.goals=[]"]
+    scenario = load_scenario("town", overrides=[*changes, *start, ground])
+    batch = Batch(scenario, _PART, threads=1)
+    batch.begin(list(range(_PART)))
+    accelerations = np.random.default_rng(1).uniform(-0.3, 0.3, (64, _PART, 2, 2))
+    taken = 0
+
+    def step() -> None:
+        nonlocal taken
+        if taken % 400 == 0:
+            batch.begin(list(range(_PART)))
+        vehicles = batch.state.vehicles
+        vehicles["outgoing"] = accelerations[taken % 64]
+        vehicles["outgoing_tick"] = batch.state.ticks[:, None]
+        batch.advance()
+        taken += 1
+
+    yield step, _PART
+
+
+def step_in_town() -> Work:
+    """Return the world step among 30 blocks with sides of 4 m to 6 m and heights of 3 m to 8 m."""
     rng, blocks = np.random.default_rng(0), []
     for k in range(30):
-        x, y = 0.5 + 8.0 * (k % 5), 0.5 + 6.6 * (k // 5)
-        width, depth, height = rng.uniform((4.0, 4.0, 3.0), (6.5, 5.5, 8.0)).tolist()
-        corners = ((x, y), (x + width, y), (x + width, y + depth), (x, y + depth))
-        blocks.append((corners, height))
-    return Occlusion(*building_table(blocks), 10.0)
+        x, y = 1.5 + 7.7 * (k % 5), 1.5 + 6.4 * (k // 5)
+        width, depth, height = rng.uniform((4.0, 4.0, 3.0), (6.0, 5.0, 8.0)).round(1).tolist()
+        right, top = x + width, y + depth
+        corners = f"[[{x}, {y}], [{right}, {y}], [{right}, {top}], [{x}, {top}]]"
+        blocks.append(f"{{polygon={corners}, height={height}}}")
+    return _batch_step(f"building=[{', '.join(blocks)}]")
 
 
-@numba.njit(error_model="numpy")
-def _accumulate(grid: FloatArray, positions: FloatArray, occlusion: Occlusion | None) -> None:
-    """Apply (3) from each position."""
-    for k in range(len(positions)):
-        accumulate(grid, positions[k, 0], positions[k, 1], _SENSOR, 0.25, 0.05, occlusion)
+def step_beside_a_hazard() -> Work:
+    """Return the same with one hazard instead of the blocks."""
+    return _batch_step('hazard=[{kind="block", center=[39.0, 1.0], radius=0.3}]')
 
 
-@contextmanager
-def _accumulation(occlusion: Occlusion | None) -> Iterator[tuple[Callable[[], object], int]]:
-    grid = random_coverage(1)[0]
-    positions = np.random.default_rng(1).uniform(5.0, 35.0, (_PASSES, 2))
-    yield lambda: _accumulate(grid, positions, occlusion), len(positions)
-
-
-def accumulation_in_town() -> Work:
-    """Return the accumulation of coverage among 30 buildings."""
-    return _accumulation(town())
-
-
-def accumulation_in_the_open() -> Work:
-    """Return the accumulation of coverage without buildings."""
-    return _accumulation(None)
-
-
-@beside(accumulation_in_town, accumulation_in_the_open)
+@beside(step_in_town, step_beside_a_hazard)
 def test_buildings(benchmark: Any, side: Callable[[], Work]) -> None:
-    """`accumulate` among buildings beside the same without buildings."""
+    """A world step among 30 buildings beside one with a hazard instead."""
     time_steps(benchmark, side())
 
 
