@@ -1,4 +1,4 @@
-"""Compiled tick of altitude, camera and buildings; nothing of it is compiled for planar scenarios."""
+"""Compiled tick of altitude, camera and buildings; planar scenarios compile only its planar variants."""
 
 import math
 
@@ -124,7 +124,7 @@ def _detect_below(
     uav: Vehicle,
     ugv: Vehicle,
 ) -> None:
-    (world, k, tick) = place
+    world, k, tick = place
     camera = cameras[k]
     if not _sees(town, world, camera, uav, ugv):
         return
