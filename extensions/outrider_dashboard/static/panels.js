@@ -4,6 +4,7 @@ import { $, escapeText, known, setHtml, setText, setTitle } from "./dom.js";
 import { metric, rowsOf, textOf } from "./metrics.js";
 
 const TOUCH = matchMedia("(hover: none)");
+const VEHICLE = "Process of this vehicle: whether it is connected, its driver, and what was lost or late";
 
 function faultsOf(vehicle) {
   const counted = rowsOf("process").map((row) => {
@@ -14,7 +15,7 @@ function faultsOf(vehicle) {
   const found = counted.filter(({ count }) => count);
   return {
     text: found.map(({ label, count }) => `${label} ${count}`),
-    meaning: found.map(({ label, meaning }) => `${label}: ${meaning}`).join("\n"),
+    meaning: [VEHICLE, ...found.map(({ label, meaning }) => `${label}: ${meaning}`)].join("\n"),
   };
 }
 
@@ -109,7 +110,7 @@ function showChips(state, status, vehicles, mark, fresh) {
     : [chip("router", mark(state.router)), chip("simulator", mark(state.simulator))];
   for (const [name, vehicle] of vehicles) {
     const { text } = faultsOf(vehicle);
-    chips.push(chip(name, !fresh ? "unknown" : vehicle.present ? "good" : "bad", text.join(", ")));
+    chips.push(chip(name, !fresh ? "unknown" : vehicle.present ? "good" : "bad", text.join(", ") || VEHICLE));
   }
   if (status && status.paused) chips.push(chip("paused", "warn"));
   if (status && status.over) chips.push(chip("over", "warn"));
