@@ -78,7 +78,8 @@ def load_all(group: str, kind: type[_Kind]) -> dict[str, _Kind]:
 
 def source_files() -> list[Path]:
     """Return the source files of all packages with Outrider entry points, in a fixed order."""
-    entries = [entry for group in GROUPS for entry in entry_points(group=f"{_OURS}.{group}")]
+    installed = entry_points()  # reads the metadata of all packages
+    entries = [entry for group in GROUPS for entry in installed.select(group=f"{_OURS}.{group}")]
     found: list[Path] = []
     for name in sorted({entry.module.partition(".")[0] for entry in entries}):
         spec = find_spec(name)
