@@ -1,6 +1,7 @@
 """Altitude in the environments: a third action, two more observations, and the same flight as over the bus."""
 
 import sys
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -20,6 +21,11 @@ from outrider.running.flying import fly
 from sim.engine.briefing import uav_briefing
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
+
+with warnings.catch_warnings():
+    # PettingZoo 1.27 creates an old environment of its own
+    warnings.simplefilter("ignore", DeprecationWarning)
+    from pettingzoo.test import parallel_api_test
 
 CHANGES = ["duration=6", "altitude.law=best", "uav.0.max_altitude=20", "uav.0.min_altitude=7"]
 COUNTERS = ("certified_while_lost", "certificate_broken")
@@ -50,7 +56,8 @@ def test_altitude_is_a_third_action_and_two_more_entries(env: Any) -> None:
     ]
 
 
-def test_gymnasium_accepts_the_environment() -> None:
+def test_pettingzoo_and_gymnasium_accept_the_environment(env: Any) -> None:
+    parallel_api_test(env, num_cycles=50)
     check_env(outrider.single_env(town()), skip_render_check=True)
 
 

@@ -75,14 +75,14 @@ def test_tiles_near_a_polygon_are_those_within_the_distance(radii, turn, place, 
     tiles = np.full((16, 16), CLEAR, np.uint8)
     add_polygon(np.array(shape), reach, BLOCK, 0.5, tiles)
     building = (Building(polygon=shape, height=1.0),)
-    grid = np.linspace(0.0, 0.5, 6)
+    grid = np.linspace(0.0, 0.5, 4)
     for row, column in itertools.product(range(16), range(16)):
         points = itertools.product(column * 0.5 + grid, row * 0.5 + grid)
         nearest = min(distances(building, *point)[0] for point in points)
         if tiles[row, column] == CLEAR:
             assert nearest > reach
         else:
-            assert nearest <= reach + 0.5 * math.hypot(0.1, 0.1)
+            assert nearest <= reach + 0.5 * math.hypot(grid[1], grid[1])
 
 
 # The map of a UGV

@@ -16,7 +16,6 @@ from outrider.envs.parallel import parallel_env
 from sim.engine.briefing import briefing
 from sim.env.spaces import FREE_ACCELERATION, extent_of
 from sim.models.vehicles import clip_norm
-from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, Uav
 from sim.world import World
 from worlds import BLURRED, FAST, FREE, ONE, POOR, SEVERAL, equal
@@ -26,9 +25,6 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
     from pettingzoo.test import parallel_api_test
 
-HIGH = load_scenario(
-    "escort", overrides=["duration=25", "uav.0.initial_altitude=8", "uav.0.max_altitude=12"]
-)
 OPTIONS = [
     pytest.param(ONE, {}, id="one"),
     pytest.param(ONE, {"coverage_patch": (16, 0.5)}, id="patch"),
@@ -43,7 +39,6 @@ OPTIONS = [
         id="many",
     ),
     pytest.param(msgspec.structs.replace(ONE, uav=()), {}, id="without a UAV"),
-    pytest.param(HIGH, {}, id="altitude"),
 ]
 
 

@@ -24,7 +24,6 @@ from outrider.envs.parallel import parallel_env
 from outrider.envs.single import single_env
 from outrider.envs.vector import parallel_vector_env, vector_env
 from refusals import refused
-from sim.scenario.loading import load_scenario
 from worlds import FREE, SCENARIO, equal, random_actions
 
 MAKERS: dict[str, Callable[..., Any]] = {
@@ -213,7 +212,7 @@ def test_what_was_returned_is_never_changed_later(name: str) -> None:
             for options in ({}, {"agent": "ugv_0"}, {"coverage_patch": (6, 1.0)})
         ),
         (FREE, {"estimate": True, "gradient": True, "dtype": np.float32}),
-        (load_scenario("minefield"), {"agent": "ugv_0", "tile_patch": 5}),
+        ("minefield", {"agent": "ugv_0", "tile_patch": 5}),
     ],
     ids=["row", "ugv", "coverage", "estimate", "tiles"],
 )

@@ -8,7 +8,6 @@ from flights import flown_in_both
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.running.assumptions import assumption_warnings
 from outrider.running.flying import fly
-from processes import flown_both_ways
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario
 from sim.server.flight import Flight
@@ -52,10 +51,6 @@ def test_a_batch_over_hazards_flies_as_runs_do() -> None:
 def test_a_batch_navigates_as_runs_do(name: str) -> None:
     scenario = over_hazards(name)
     assert_batch_flies_alike(scenario, flown_in_both(scenario, 4)[1])
-
-
-def test_hazards_fly_one_trajectory_over_three_processes() -> None:
-    flown_both_ways("minefield", "duration=10.0", "links.radio.loss=0.3", seed=4)
 
 
 @pytest.mark.parametrize(("profile", "seed"), [("wifi-poor", 0), ("jammed", 1)])

@@ -157,6 +157,7 @@ def test_they_fly_alike_in_a_batch(package: Path, flights: dict[str, Any]) -> No
     assert np.abs(apart).max() < 1e-6
 
 
+@pytest.mark.long
 def test_they_fly_the_same_bits_in_processes_of_their_own(package, flights) -> None:
     code = "import sys; sys.argv[0] = 'outrider'; from outrider.cli.main import run_command_line as r; sys.exit(r())"
     words = ("run", str(package / "plugged.toml"), "--seed", "3", "--json", "--no-files")

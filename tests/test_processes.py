@@ -34,7 +34,7 @@ pytestmark = pytest.mark.usefixtures("nothing_left_behind")
 
 
 def test_two_runs_at_once_fly_the_bits_of_one_process() -> None:
-    """One of them has no UAV. Scenarios with hazards: tests/test_ground_flights.py."""
+    """One of them has no UAV. A run with hazards and a UAV: tests/test_secret.py."""
     runs = {"escort": ["duration=40.0"], "minefield": ["uav=[]", "duration=10.0"]}
     with ExitStack() as stack:
         flying_runs = {}

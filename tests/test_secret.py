@@ -70,11 +70,15 @@ def check_files(folder: Path, recorded: Path) -> dict[str, Any]:
 
 @pytest.mark.usefixtures("nothing_left_behind")
 def test_processes_with_a_secret_keep_it_and_fly_its_bits(tmp_path, monkeypatch):
-    """No command line and no environment of a started process contains the secret."""
+    """No command line and no environment of a started process contains the secret.
+
+    The run has hazards and loses map updates: in processes, too, it has one trajectory.
+    """
     monkeypatch.setenv(VARIABLE, SECRET)
     files = tmp_path / "out", tmp_path / "run.mcap"
     options = ("--out", str(files[0]), "--record", str(files[1]), "--no-picture")
-    with flying("escort", "--set", "duration=100000.0", *options) as going:
+    lossy = ("--set", "duration=100000.0", "--set", "links.radio.loss=0.3")
+    with flying("minefield", *lossy, *options) as going:
         children = family(going.pid)
         assert not any(
             SECRET.encode() in Path(f"/proc/{pid}/environ").read_bytes() for pid in children
@@ -84,7 +88,8 @@ def test_processes_with_a_secret_keep_it_and_fly_its_bits(tmp_path, monkeypatch)
         _, err = going.communicate(timeout=60)
     assert SECRET not in err
     summary = check_files(*files)
-    alone = load_scenario("escort", overrides=[f"duration={summary['ticks'] * 0.05!r}"])
+    changes = [f"duration={summary['ticks'] * 0.05!r}", "links.radio.loss=0.3"]
+    alone = load_scenario("minefield", overrides=changes)
     assert summary["trajectory_sha256"] == run(alone, secret=SECRET).trajectory_sha256
 
 
