@@ -207,7 +207,7 @@ def test_certificates_are_renewed_while_the_router_goes_on(endpoint, monkeypatch
     A new session needs the new certificate.
     """
     monkeypatch.setattr(joining, "_check_certificate", lambda *_: None)
-    seconds = 3.0
+    seconds = 2.0
     ends = time.monotonic() + seconds
     old = known_as(identity(days=seconds / 86400))
     with hosted(endpoint, GIVEN) as router, client_of(endpoint, old) as early:

@@ -159,26 +159,26 @@ def test_simulator_and_router_that_return_change_no_bit(tmp_path: Path) -> None:
 def test_lost_router_ends_every_process_with_a_reason(tmp_path: Path) -> None:
     with scattered(tmp_path) as run:
         router = run.router()
-        simulator = run.simulator("--join-timeout", "5")
-        vehicles = run.vehicles("--join-timeout", "5")  # all start at about the same time
+        simulator = run.simulator("--join-timeout", "3")
+        vehicles = run.vehicles("--join-timeout", "3")  # all start at about the same time
         run.fly_to(100)
         router.kill()
         router.wait()
         out, err = simulator.communicate(timeout=60)
         assert simulator.returncode == 1
-        assert "the router has been disconnected for 5 s" in err
+        assert "the router has been disconnected for 3 s" in err
         assert "Traceback" not in err
         assert json.loads(out)["ticks"] > 100  # the flown part is kept
         for vehicle in vehicles:
             _, err = vehicle.communicate(timeout=60)
             assert vehicle.returncode == 1
             (line,) = err.strip().splitlines()
-            assert "the router has been absent for 5 s" in line
+            assert "the router has been absent for 3 s" in line
 
 
 def test_lost_simulator_ends_a_vehicle_with_a_reason(endpoint: str) -> None:
     vehicle = GIVEN.of("uav_0")
-    settings = {"connect": endpoint, "run": "run", "credential": vehicle, "join_timeout": 2.0}
+    settings = {"connect": endpoint, "run": "run", "credential": vehicle, "join_timeout": 1.0}
     with hosted(endpoint, name="observer"), ThreadPoolExecutor(1) as threads:
         with client_of(endpoint, GIVEN.of("simulator")) as simulator:
             briefings = simulator.outbox(BRIEFING[Role.UAV], "uav_0")
@@ -186,7 +186,7 @@ def test_lost_simulator_ends_a_vehicle_with_a_reason(endpoint: str) -> None:
             flown = threads.submit(process.fly, vehicle.party, UavPilot, **settings)
             wait_until(lambda: briefings.wanted)
             briefings.send(uav_briefing(SHORT, "uav_0", 7))
-        with refused(PeerLost, "the simulator has been absent for 2 s"):
+        with refused(PeerLost, "the simulator has been absent for 1 s"):
             flown.result(60.0)
 
 

@@ -136,7 +136,7 @@ def test_changed_speed_changes_no_bit(tmp_path: Path) -> None:
 
 def test_operator_takes_over_drives_and_hands_back(tmp_path: Path) -> None:
     """Through the bus, the simulator and the UGV's driver: bounded, braking without messages, without a jump."""
-    with stage(tmp_path, 100_000, realtime=4.0) as run:
+    with stage(tmp_path, 100_000, realtime=10.0) as run:
         run.start_both()
         world, ticks = run.server.flight.world, list[int]()
 

@@ -49,7 +49,6 @@ driver = "zigzag"
 FLIGHTS = """
 import json, sys
 import outrider
-from bus.errors import ScenarioError
 from outrider.running.flying import fly
 
 def flown(*changes):
@@ -59,7 +58,15 @@ changes = [
     (), ("law.parameters.power=0.2",), ("law.name=linear",), ("ugv.0.driver=waypoints",), ("sensor.model=hill",)
 ]
 flight, summary = flown()
-
+print(json.dumps({
+    "hashes": [flown(*change)[1].trajectory_sha256 for change in changes],
+    "positions": flight.world.position.tolist(),
+}))
+"""
+REFUSALS = """
+import json, sys
+import outrider
+from bus.errors import ScenarioError
 
 def refused(change):
     try:
@@ -67,11 +74,7 @@ def refused(change):
     except ScenarioError as error:
         return str(error)
 
-print(json.dumps({
-    "refused": [refused(change) for change in sys.argv[2:]],
-    "hashes": [flown(*change)[1].trajectory_sha256 for change in changes],
-    "positions": flight.world.position.tolist(),
-}))
+print(json.dumps({"refused": [refused(change) for change in sys.argv[2:]]}))
 """
 BATCH = """
 import json, sys
@@ -146,6 +149,7 @@ def flights(package: Path) -> dict[str, Any]:
     return answer(package, FLIGHTS)
 
 
+@pytest.mark.long
 def test_law_driver_and_sensor_of_a_package_fly_in_one_process(flights: dict[str, Any]) -> None:
     assert len(set(flights["hashes"])) == 5
     assert np.abs(np.subtract(flights["positions"], [[10.0, 11.0], [10.0, 10.0]])).min() > 1e-3
@@ -165,8 +169,9 @@ def test_they_fly_the_same_bits_in_processes_of_their_own(package, flights) -> N
     assert json.loads(done.stdout)["trajectory_sha256"] == flights["hashes"][0]
 
 
-def test_its_names_and_parameters_are_checked(flights: dict[str, Any]) -> None:
-    for phrase, line in zip(REFUSED.values(), flights["refused"], strict=True):
+def test_its_names_and_parameters_are_checked(package: Path) -> None:
+    refused = answer(package, REFUSALS)["refused"]
+    for phrase, line in zip(REFUSED.values(), refused, strict=True):
         assert phrase in line
 
 
@@ -230,7 +235,9 @@ def test_its_command_is_listed_and_its_policy_drives(command) -> None:
     assert (wrong.returncode, "allowed: gain:0.3" in wrong.stderr) == (2, True)
 
 
-def test_its_pilot_flies_and_its_sink_records(package, tmp_path, monkeypatch) -> None:
+@pytest.mark.parametrize("pilot", ["uav", pytest.param("hover", marks=pytest.mark.long)])
+def test_all_that_packages_add_flies_and_is_recorded(pilot, package, tmp_path, monkeypatch) -> None:
+    """Law, driver and sensor of the guide's package; pilot and sink of the example."""
     monkeypatch.setenv("PYTHONPATH", with_package(package)["PYTHONPATH"])
     connect = ("--connect", f"tcp/127.0.0.1:{free_port()}")
     track = tmp_path / "track.csv"
@@ -239,15 +246,20 @@ def test_its_pilot_flies_and_its_sink_records(package, tmp_path, monkeypatch) ->
         def join(*arguments: str) -> Any:
             return stack.enter_context(started(*arguments))
 
-        run = join("simulator", "escort", "--duration", "1", "--listen", connect[1], "--json")
+        run = join("simulator", str(package / "plugged.toml"), "--listen", connect[1], "--json")
         recorder = join("record", str(track), "--format", "csv", *connect)
         assert "waiting for the run" in recorder.stderr.readline()
-        pilots = [join("hover", *connect), join("ugv", *connect)]
-        out, err = run.communicate(timeout=120)
+        pilots = [join(pilot, *connect), join("ugv", *connect)]
+        out, err = run.communicate(timeout=240)
         assert run.returncode == 0, err
-        assert [pilot.wait(60) for pilot in pilots] == [0, 0]
+        assert [process.wait(60) for process in pilots] == [0, 0]
         assert recorder.wait(60) == 0
-    assert json.loads(out)["ticks"] == 20
+    summary = json.loads(out)
+    assert (summary["ticks"], summary["law"], summary["deterministic"]) == (40, "cautious", True)
     rows = [line.split(",") for line in track.read_text(encoding="utf-8").splitlines()]
     assert rows[0] == ["time", "vehicle", "x", "y"]
-    assert {row[1] for row in rows[1:]} == {"uav_0", "ugv_0"}
+    last = {name: (float(x), float(y)) for _, name, x, y in rows[1:]}
+    starts = {"uav_0": (10.0, 11.0), "ugv_0": (10.0, 10.0)}
+    assert last.keys() == starts.keys()
+    for name, start in starts.items():
+        assert pilot == "hover" or np.abs(np.subtract(last[name], start)).min() > 1e-3

@@ -222,7 +222,7 @@ SHARES: list[tuple[dict[str, Any], int, int, float]] = [
 @pytest.mark.parametrize(("link", "period", "age", "dropout"), SHARES)
 def test_the_share_of_old_detections_is_that_of_the_link(link, period, age, dropout) -> None:
     """Random blackouts may start and end within a tick, so that there the share is a bound."""
-    settings, ticks = LinkSettings(**link), 50_000
+    settings, ticks = LinkSettings(**link), 100_000
     one, random = OneLink(settings, dt=DT, key=a_key(1)), np.random.default_rng(3)
     newest, old = 0, 0
     for tick in range(ticks):

@@ -42,14 +42,14 @@ GRID = [
     CELLS,
 ]
 
-LONG = words("--seeds 12 --set duration=20.0 --jobs 2 --json --out")
+LONG = words("--seeds 12 --set duration=10.0 --jobs 2 --json --out")
 
 
 def plan_of(source: str = "escort", **given) -> SweepPlan:
     return lay_out(describe_sweep(source, **(given or (SMALL if source == "escort" else {})))[0])
 
 
-LONG_PLAN = plan_of(**SMALL | {"changes": [CELLS, "duration=20.0"], "seeds": 12})
+LONG_PLAN = plan_of(**SMALL | {"changes": [CELLS, "duration=10.0"], "seeds": 12})
 
 
 def rows_of(folder: Path) -> dict[str, list[object]]:

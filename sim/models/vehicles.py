@@ -94,7 +94,7 @@ def brake(v_x: float, v_y: float, u_max: float, dt: float) -> tuple[float, float
 def raw_switching_radius(r_v: float, v_a: float, v_g: float, u_a: float) -> float:
     r"""Return the right side of (18), $r_v - (v_a + v_g)^2 / (2 u_a)$ [m], of either sign."""
     speed = v_a + v_g
-    return r_v - speed * speed / (2.0 * u_a)
+    return r_v - (0.0 if math.isinf(u_a) else speed * speed / (2.0 * u_a))
 
 
 @compiled

@@ -13,6 +13,8 @@ from outrider_falsify.lost_trajectories import LOSSES
 from outrider_falsify.pool import Workers
 from outrider_falsify.search import Budget
 
+# Compiled once more for altitudes; another adversary is in tests/test_altitude_env.py.
+pytestmark = pytest.mark.long
 NARROW, WIDE = 0, 9
 """Rows of `FLIGHTS`: an agile UAV with a narrow and a wide camera."""
 FLIGHTS_OF = {
