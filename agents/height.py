@@ -131,10 +131,17 @@ class HeightControl:
         self._parameters = height_parameters(briefing, uav)
         self._fixed = records(UavParameters, [uav]), records(HeightParameters, [self._parameters])
         self._memory, self._own = height_memory(briefing), vertical_motion(briefing.altitude)
-        self._buildings = building_table([(one.corners, one.height) for one in briefing.buildings])
+        self._known = [*briefing.buildings]
+        self._buildings = self._table()
+
+    def _table(self) -> tuple[RecordArray, FloatArray]:
+        return building_table([(one.corners, one.height) for one in self._known])
 
     def see(self, observation: UavObservation) -> None:
-        """Record the altitude and the climb rate."""
+        """Record the altitude, the climb rate, and the buildings just discovered."""
+        if observation.buildings:
+            self._known += observation.buildings
+            self._buildings = self._table()
         if observation.altitude is not None:
             own = self._own[0]
             own["altitude"], own["rate"] = observation.altitude, observation.climb_rate

@@ -6,7 +6,7 @@ from agents.control.orbit import Path, check_path
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimation.estimator import Estimate, estimator_of
 from agents.estimation.map_updates import MapUpdateScheduler
-from agents.estimation.own_map import own_map
+from agents.estimation.own_map import cover_buildings, own_map
 from agents.height import HeightControl
 from agents.laws.policy import PolicyControl, TargetEstimate, UavPolicy
 from agents.laws.selection import SelectedLaw
@@ -175,6 +175,8 @@ class UavPilot:
         self._tick = tick
         sensor = self._uav.sensor
         if self._height is not None:
+            if observation.buildings:
+                cover_buildings(self.coverage, self._briefing, observation.buildings)
             self._height.see(observation)
             sensor, self._occlusion = self._height.sensor, self._height.occlusion
             self._law.set_sensor(sensor)

@@ -251,6 +251,23 @@ class World:
             for place, state in zip(places, states, strict=True)
         )
 
+    def discovered(self, uav: int) -> tuple[Building, ...]:
+        """Return the buildings that a UAV has discovered in this tick."""
+        town = self._batch.state.town
+        if town is None or not self.parameters.discovers:
+            return ()
+        k = self._number
+        rows, corners = town.buildings[k], town.corners[k]
+        return tuple(
+            Building(
+                polygon=tuple((x, y) for x, y in corners[first : first + count].tolist()),
+                height=height,
+            )
+            for first, count, height in rows[town.found[k, uav] == self.tick][
+                ["first", "corners", "height"]
+            ].tolist()
+        )
+
     def receive_block(self, vehicle: int, block: MapUpdate) -> None:
         """Record a map update that a UGV has received by radio, to measure warning times."""
         if self.ground is not None:

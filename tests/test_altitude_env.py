@@ -174,22 +174,32 @@ def test_uav_that_starts_below_the_roofs_brakes_and_climbs(side: float) -> None:
 # -- the information contract
 
 
-def test_own_map_shows_no_building_that_the_uav_does_not_know() -> None:
-    """The map of a UAV without a map of the buildings does not depend on where they are."""
-    settings: dict[str, Any] = {"end_on_sight_lost": False, "coverage_patch": (9, 1.0)}
-    maps = []
-    for known in ("false", "true"):
-        for x in (7, 8):
-            place = f"building=[{{height=4, polygon=[[{x},2],[{x + 2},2],[{x + 2},9],[{x},9]]}}]"
-            one = outrider.single_env(
-                town("building_field=[]", f"buildings.known={known}", place), **settings
-            )
-            one.reset(seed=2)
-            for _ in range(80):
-                seen, *_ = one.step([0.3, 0.0, 0.0])
-            maps.append(seen["coverage"])
-    assert np.array_equal(maps[0], maps[1])
-    assert not np.array_equal(maps[2], maps[3])
+def beside_a_wall(x: float, known: str) -> Any:
+    """Return an environment with a wall whose left side is at x, and a picture of the UAV's own map."""
+    place = f"building=[{{height=4, polygon=[[{x},2],[{x + 2},2],[{x + 2},9],[{x},9]]}}]"
+    changed = town("building_field=[]", f"buildings.known={known}", place)
+    env = outrider.single_env(changed, end_on_sight_lost=False, coverage_patch=(13, 1.0))
+    env.reset(seed=2)
+    return env
+
+
+def test_own_map_shows_no_building_before_its_corner_is_seen() -> None:
+    """Without a map of the buildings, the UAV's own map does not depend on where they are until it sees one."""
+    envs = [beside_a_wall(x, "false") for x in (9, 10)]
+    for _ in range(120):
+        maps = [env.step([0.3, 0.0, 0.0])[0]["coverage"] for env in envs]
+        x, y = envs[0].worlds.loop.state.batch.vehicles["reference_position"][0, 0]
+        sees = [np.hypot(left - x, 2.0 - y) <= 5.0 for left in (9, 10)]  # range of its sensor
+        assert np.array_equal(*maps) != any(sees)
+        if any(sees):
+            break
+    assert sees == [True, False]
+    assert x > 3.5  # it starts at 3 m
+
+
+def test_own_map_shows_the_buildings_on_which_the_uav_is_briefed() -> None:
+    maps = [beside_a_wall(x, "true").step([0.3, 0.0, 0.0])[0]["coverage"] for x in (7, 8)]
+    assert not np.array_equal(*maps)
 
 
 def test_ground_under_known_buildings_counts_as_covered() -> None:

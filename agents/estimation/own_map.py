@@ -1,8 +1,11 @@
 """The coverage map that a UAV keeps of its own observations, at the start of a run."""
 
+from collections.abc import Sequence
+
+from bus.messages.buildings import Building
 from bus.messages.vehicle import UavBriefing
 from sim.compiling.compile import FloatArray
-from sim.models.buildings import building_table, footprint_cells
+from sim.models.buildings import building_table, cover_footprint
 from sim.models.field import cover, empty_coverage
 
 
@@ -17,6 +20,20 @@ def own_map(briefing: UavBriefing) -> FloatArray:
     for region in briefing.covered:
         cover(coverage, region.lower, region.upper, area.cell, briefing.desired_coverage)
     if briefing.altitude is not None:
-        known = building_table([(one.corners, one.height) for one in briefing.buildings])
-        coverage[footprint_cells(*known, area.cell, coverage.shape)] = briefing.desired_coverage
+        cover_buildings(coverage, briefing, briefing.buildings)
     return coverage
+
+
+def cover_buildings(
+    coverage: FloatArray, briefing: UavBriefing, buildings: Sequence[Building]
+) -> None:
+    """Count the ground under buildings as covered.
+
+    Args:
+        coverage: Map of the UAV; changed. Shape (rows, columns).
+        briefing: Briefing of the UAV.
+        buildings: Buildings that it has learnt of.
+    """
+    known = building_table([(one.corners, one.height) for one in buildings])
+    for k in range(len(buildings)):
+        cover_footprint(coverage, *known, k, briefing.area.cell, briefing.desired_coverage)

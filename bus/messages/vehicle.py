@@ -211,6 +211,8 @@ class UavObservation(VehicleObservation, frozen=True, kw_only=True):
     """Its climb rate [m/s]."""
     detections: tuple[Detection, ...] = ()
     """Detections that arrived at this tick."""
+    buildings: tuple[Building, ...] = ()
+    """Buildings discovered in this tick: its camera sees a corner for the first time."""
     law: Law | None = None
     """Control law from this tick on; None: unchanged."""
 

@@ -62,10 +62,6 @@ class HeightTables(NamedTuple):
 
     Shape (UAVs, most).
     """
-    buildings: RecordArray
-    """`BuildingRow` of the buildings that the UAVs know. Shape (buildings,)."""
-    corners: FloatArray
-    """Corners of their footprints [m]. Shape (corners, 2)."""
 
 
 class LoopTables(NamedTuple):

@@ -90,7 +90,9 @@ def _add_pictures(
                 kalman[world, u, 0].age,
                 own,
                 map_of(maps, world, u),
-                occlusion_at(heights, own, u, vehicles[world, escorts[u, 0]]),
+                occlusion_at(
+                    heights, state.batch.town, own, (world, u), vehicles[world, escorts[u, 0]]
+                ),
             )
     for u in range(patches.shape[1]):
         place = vehicles[world, escorts[u, 0]].reference_position

@@ -52,7 +52,7 @@ def _fly(
     if action_row < 0:
         coverage = map_of(state.maps, world, uav)
         own = state.uavs[world, uav]
-        occlusion = occlusion_at(tables.heights, own, uav, one)
+        occlusion = occlusion_at(tables.heights, batch.town, own, (world, uav), one)
         u_x, u_y = nominal_command(
             tables.laws, own, state.laws, (world, uav), coverage, tick, here, target, occlusion
         )

@@ -96,7 +96,8 @@ class _EnvPilots:
             if own["flies"]:
                 fields |= {"altitude": float(own["altitude"]), "climb_rate": float(own["rate"])}
             uav = [uav.name for uav in world.uavs].index(name)
-            return pilot.act(UavObservation(**fields, detections=world.received(uav)))
+            fields |= {"detections": world.received(uav), "buildings": world.discovered(uav)}
+            return pilot.act(UavObservation(**fields))
         radio, blocks = _radioed(world, self._env.worlds.loop.batch, self._escorts[name])
         return pilot.act(UgvObservation(**fields, radio=radio, map_updates=blocks))
 

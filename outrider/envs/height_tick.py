@@ -10,7 +10,10 @@ from agents.uav_parameters import Target, UavParameters
 from outrider.envs.closed_loop_state import HeightTables, LoopState
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.dispatch import unless_none
+from sim.engine.space_state import TownState
+from sim.engine.space_tick import known_occlusion_of
 from sim.engine.world_state import Vehicle
+from sim.models.buildings import cover_footprint
 from sim.models.camera import sensor_at
 from sim.models.safety import SafetyBounds
 from sim.models.shadows import Occlusion
@@ -18,28 +21,72 @@ from sim.models.vehicles import Motion
 
 
 @compiled
-def _occlusion_in_plane(heights: None, uav: UavParameters, row: int, vehicle: Vehicle) -> None:
+def _occlusion_in_plane(
+    heights: None,
+    town: TownState | None,
+    uav: UavParameters,
+    place: tuple[int, int],
+    vehicle: Vehicle,
+) -> None:
     return None
 
 
 @compiled
 def _occlusion_at(
-    heights: HeightTables, uav: UavParameters, row: int, vehicle: Vehicle
-) -> Occlusion:
+    heights: HeightTables,
+    town: TownState | None,
+    uav: UavParameters,
+    place: tuple[int, int],
+    vehicle: Vehicle,
+) -> Occlusion | None:
+    world, row = place
     own, law = vehicle.vertical, heights.laws[row]
     if own.flies:
         found = sensor_at(law.sensor, law.camera, own.altitude)
         sensor: Any = uav.sensor
         sensor.peak, sensor.reach = found.peak, found.reach
-    return Occlusion(heights.buildings, heights.corners, own.altitude)
+    known: Occlusion | None = known_occlusion_of(town, world, row, own.altitude)
+    return known
 
 
 occlusion_at = unless_none(_occlusion_at, _occlusion_in_plane)
-"""`occlusion_at(heights, uav, row, vehicle)`: set a UAV's sensor to its altitude, and return the known buildings as
-seen from there; None in the plane.
+"""`occlusion_at(heights, town, uav, place, vehicle)`: set a UAV's sensor to its altitude, and return the buildings that
+it knows, as seen from there; None in the plane and without buildings.
 
-`heights`: tables of the altitudes, None: all UAVs fly in the plane; `uav`: constants of the UAV, changed; `row`: its
-row in the tables; `vehicle`: the UAV in the world.
+`heights`: tables of the altitudes, None: all UAVs fly in the plane; `town`: buildings of all worlds; `uav`: constants
+of the UAV, changed; `place`: world and UAV; `vehicle`: the UAV in the world.
+"""
+
+
+@compiled
+def _cover_found(
+    town: TownState, place: tuple[int, int], uav: UavParameters, tick: int, coverage: FloatArray
+) -> None:
+    world, k = place
+    found = town.found[world, k]
+    for n in range(found.shape[0]):
+        if found[n] == tick:
+            cover_footprint(
+                coverage,
+                town.buildings[world],
+                town.corners[world],
+                n,
+                uav.cell,
+                uav.desired_coverage,
+            )
+
+
+@compiled
+def _cover_nothing(
+    town: None, place: tuple[int, int], uav: UavParameters, tick: int, coverage: FloatArray
+) -> None:
+    return
+
+
+cover_found = unless_none(_cover_found, _cover_nothing)
+"""`cover_found(town, place, uav, tick, coverage)`: count the ground under buildings just discovered as covered.
+
+`place`: world and UAV; `uav`: constants of the UAV; `coverage`: its own map, changed.
 """
 
 

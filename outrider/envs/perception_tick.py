@@ -11,7 +11,7 @@ from agents.estimation.map_updates import (
 )
 from agents.estimation.perception import add_detections
 from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
-from outrider.envs.height_tick import occlusion_at
+from outrider.envs.height_tick import cover_found, occlusion_at
 from outrider.envs.vehicle_parts import filter_of, grid_of, map_of, reference_of
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED, Packet
@@ -137,9 +137,12 @@ def perceive(
     looked = 1 if parameters.own_maps and tick > 0 else 0  # otherwise the world updates the map
     for u in range(escorts.shape[0]):
         uav, vehicle = state.uavs[world, u], batch.vehicles[world, escorts[u, 0]]
-        here, occlusion = reference_of(vehicle), occlusion_at(heights, uav, u, vehicle)
+        here = reference_of(vehicle)
+        occlusion = occlusion_at(heights, batch.town, uav, (world, u), vehicle)
         arrived = batch.links[world, u].arrived
         _add_detections(batch.packets[world, u, ARRIVED], arrived, detections)
+        if tables.batch.world[0].discovers:
+            cover_found(batch.town, (world, u), uav, tick, map_of(state.maps, world, u))
         if looked > 0:
             grid, dt = map_of(state.maps, world, u), looked * uav.dt
             accumulate(grid, here.p_x, here.p_y, uav.sensor, uav.cell, dt, occlusion)

@@ -32,7 +32,6 @@ from sim.compiling.records import fill, fresh, record_type, records
 from sim.engine.briefing import uav_briefing, ugv_briefing
 from sim.env.patch import given_patch
 from sim.env.settings import Settings
-from sim.models.buildings import building_table
 from sim.models.field import empty_coverage
 from sim.models.safety import SafetyBounds
 from sim.scenario.types import Scenario
@@ -104,8 +103,7 @@ def height_tables(briefings: Sequence[UavBriefing]) -> HeightTables:
         levels[k, : len(table)] = table
         if briefing.altitude is not None:
             fill(laws[k], height_parameters(briefing, uav_parameters(briefing)))
-    known = building_table([(one.corners, one.height) for one in briefings[0].buildings])
-    return HeightTables(laws, levels, *known)
+    return HeightTables(laws, levels)
 
 
 class PilotNumbers:

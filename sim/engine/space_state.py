@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.compiling.compile import FloatArray
+from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray, records
 from sim.models.buildings import building_table
 from sim.models.camera import CameraParameters
@@ -20,6 +20,13 @@ class TownState(NamedTuple):
     """`BuildingRow`. Shape (worlds, buildings)."""
     corners: FloatArray
     """Corners of their footprints [m]. Shape (worlds, corners, 2)."""
+    seen: RecordArray
+    """`BuildingRow` of the buildings that each UAV knows, in the rows of `buildings`; the other rows are empty.
+
+    Shape (worlds, UAVs, buildings).
+    """
+    found: IntArray
+    """Tick in which each UAV discovered a building; -1: it did not. Shape (worlds, UAVs, buildings)."""
 
 
 def cameras_of(scenario: Scenario) -> RecordArray | None:
@@ -47,6 +54,10 @@ def town_of(scenario: Scenario, worlds: int) -> TownState | None:
     room = sum(building_rooms(scenario))
     rows = np.concatenate([rows, np.zeros(room, rows.dtype)])
     corners = np.concatenate([corners, np.zeros((4 * room, 2))])
+    seen = rows if scenario.buildings.known else np.zeros_like(rows)
     return TownState(
-        np.repeat(rows[None], worlds, axis=0), np.repeat(corners[None], worlds, axis=0)
+        np.repeat(rows[None], worlds, axis=0),
+        np.repeat(corners[None], worlds, axis=0),
+        np.tile(seen, (worlds, len(scenario.uav), 1)),
+        np.full((worlds, len(scenario.uav), len(rows)), -1),
     )

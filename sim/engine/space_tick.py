@@ -8,7 +8,7 @@ from sim.compiling.records import RecordArray
 from sim.engine.space_state import TownState
 from sim.engine.world_state import BatchState, Vehicle, WorldParameters
 from sim.models.altitude import level_off, step_altitude
-from sim.models.buildings import line_of_sight, path_meets_building
+from sim.models.buildings import line_of_sight, path_meets_building, sees_corner
 from sim.models.camera import (
     CameraParameters,
     noise_at,
@@ -40,6 +40,63 @@ def _no_occlusion(town: None, world: int, z: float) -> None:
 
 occlusion_of = unless_none(_occlusion, _no_occlusion)
 """`occlusion_of(town, world, z)`: the buildings of a world as a camera at altitude z sees them; None: no buildings."""
+
+
+@compiled
+def _known_occlusion(town: TownState, world: int, k: int, z: float) -> Occlusion:
+    return Occlusion(town.seen[world, k], town.corners[world], z)
+
+
+@compiled
+def _nothing_known(town: None, world: int, k: int, z: float) -> None:
+    return None
+
+
+known_occlusion_of = unless_none(_known_occlusion, _nothing_known)
+"""`known_occlusion_of(town, world, k, z)`: likewise the buildings that the k-th UAV knows."""
+
+
+@compiled
+def _discover(
+    town: TownState,
+    cameras: RecordArray,
+    numbers: WorldParameters,
+    place: tuple[int, int, int],
+    uav: Vehicle,
+) -> None:
+    world, k, tick = place
+    if not uav.vertical.flies:
+        return
+    x, y, z = uav.reference_position[0], uav.reference_position[1], uav.vertical.altitude
+    reach = range_at(numbers.sensor.reach, cameras[k].tangent, z)
+    buildings, corners, seen = town.buildings[world], town.corners[world], town.seen[world, k]
+    for n in range(buildings.shape[0]):
+        row = buildings[n]
+        if row["height"] == 0.0 or seen[n]["height"] > 0.0:
+            continue
+        d_x, d_y, far = row["x"] - x, row["y"] - y, row["reach"] + reach
+        near = d_x * d_x + d_y * d_y <= far * far
+        if near and sees_corner(buildings, corners, n, x, y, z, reach):
+            seen[n] = row
+            town.found[world, k, n] = tick
+
+
+@compiled
+def _discover_nothing(
+    town: None,
+    cameras: RecordArray | None,
+    numbers: WorldParameters,
+    place: tuple[int, int, int],
+    uav: Vehicle,
+) -> None:
+    return
+
+
+discover = unless_none(_discover, _discover_nothing)
+"""`discover(town, cameras, numbers, place, uav)`: note the buildings of which a UAV sees a corner for the first time.
+
+Like a ground sensor, it looks from the reference position. `place`: world, row among the UAVs, and tick.
+"""
 
 
 @compiled

@@ -42,6 +42,8 @@ class WorldParameters(NamedTuple):
     """Ticks for which the last command stays in effect when no new one arrives."""
     gains: bool
     """True to compute the decrease of e(t) by each sensor update."""
+    discovers: bool
+    """True if UAVs discover buildings; False: they are briefed on all."""
 
 
 def world_parameters(scenario: Scenario, *, gains: bool = False) -> WorldParameters:
@@ -61,6 +63,9 @@ def world_parameters(scenario: Scenario, *, gains: bool = False) -> WorldParamet
         period=scenario.detection_period,
         hold_ticks=round(scenario.command_timeout / scenario.dt),
         gains=gains,
+        discovers=bool(
+            scenario.building_field or (scenario.building and not scenario.buildings.known)
+        ),
     )
 
 

@@ -13,6 +13,7 @@ from sim.engine.ground_tick import drive_on, perceive_ground, store_positions
 from sim.engine.mission import record_mission
 from sim.engine.space_tick import (
     climb_all,
+    discover,
     keep_places,
     look,
     measure_sight,
@@ -222,7 +223,7 @@ def draw_disturbances(tables: BatchTables, state: BatchState, world: int) -> Non
 def _perceive(
     tables: BatchTables, state: BatchState, ground: GroundState | None, world: int
 ) -> None:
-    """Run the vehicles' ground sensors, and the UAVs' detectors.
+    """Run the vehicles' ground sensors, and the UAVs' detectors; UAVs discover buildings.
 
     A ground sensor observes from its vehicle's reference position: the time of a report then depends only on the
     vehicle's own trajectory, so that no UAV can infer the wind from it.
@@ -236,6 +237,8 @@ def _perceive(
         ugv = state.vehicles[world, tables.escorts[u, 1]]
         uav.detection[0], uav.detection[1] = np.nan, np.nan
         tick = state.ticks[world]
+        if numbers.discovers:
+            discover(state.town, tables.cameras, numbers, (world, u, tick), uav)
         if tick % numbers.period == 0:
             run_detector(tables.cameras, numbers, state.town, (world, u, tick), uav, ugv)
 

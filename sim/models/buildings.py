@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray, records
+from sim.models.grid import chord
 from sim.models.polygons import distance_to_polygon, segment_distance2, way_to_polygon
 from sim.models.vehicles import norm
 
@@ -147,22 +147,54 @@ def building_distance(
 
 
 @compiled
-def footprint_cells(
-    buildings: RecordArray, corners: FloatArray, cell: float, shape: tuple[int, int]
-) -> npt.NDArray[np.bool_]:
-    """Return the cells of a grid whose centers are under a building. Shape (rows, columns).
+def sees_corner(
+    buildings: RecordArray, corners: FloatArray, k: int, x: float, y: float, z: float, reach: float
+) -> bool:
+    """Return whether a camera sees a corner of a building's roof; of its wall if the roof is higher than the camera.
 
     Args:
         buildings, corners: Tables as from `building_table`.
-        cell: Width of a cell [m].
-        shape: Rows and columns of the grid.
+        k: Row of the building.
+        x, y, z: Position of the camera, and its height above the ground [m].
+        reach: Range of the camera on the ground [m].
     """
-    covered = np.zeros(shape, dtype=np.bool_)
-    for j in range(shape[0]):
-        for i in range(shape[1]):
+    row = buildings[k]
+    for n in range(row["first"], row["first"] + row["corners"]):
+        d_x, d_y = x - corners[n, 0], y - corners[n, 1]
+        if d_x * d_x + d_y * d_y <= reach * reach:
+            # just before the corner: there the wall itself hides nothing
+            q_x, q_y = corners[n, 0] + _MARGIN * d_x, corners[n, 1] + _MARGIN * d_y
+            if line_of_sight(buildings, corners, x, y, z, q_x, q_y, min(row["height"], z)):
+                return True
+    return False
+
+
+@compiled
+def cover_footprint(
+    coverage: FloatArray,
+    buildings: RecordArray,
+    corners: FloatArray,
+    k: int,
+    cell: float,
+    value: float,
+) -> None:
+    """Set the cells of a map whose centers are under a building.
+
+    Args:
+        coverage: The map; changed. Shape (rows, columns).
+        buildings, corners: Tables as from `building_table`.
+        k: Row of the building.
+        cell: Width of a cell [m].
+        value: New value of the cells.
+    """
+    row = buildings[k]
+    first_row, end_row = chord(row["y"], row["reach"], cell, coverage.shape[0])
+    first, end = chord(row["x"], row["reach"], cell, coverage.shape[1])
+    for j in range(first_row, end_row):
+        for i in range(first, end):
             x, y = (i + 0.5) * cell, (j + 0.5) * cell
-            covered[j, i] = building_distance(buildings, corners, x, y, 0.0) == 0.0
-    return covered
+            if distance_to_polygon(corners, row["first"], row["corners"], x, y) == 0.0:
+                coverage[j, i] = value
 
 
 @compiled

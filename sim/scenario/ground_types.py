@@ -60,8 +60,8 @@ class Buildings(Table, frozen=True, kw_only=True):
     """Map of the buildings."""
 
     known: bool = True
-    """Brief the vehicles on the buildings; false: no vehicle has the map. UAVs get those at given positions only:
-    blocks of a field stay clear of the UGVs' goals, which no UAV may know.
+    """Brief the vehicles on the buildings; UAVs on those at given positions only, as blocks of a field stay clear of
+    the UGVs' goals, which no UAV may know. UAVs with an altitude discover the rest.
     """
 
 

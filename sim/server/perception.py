@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bus.messages.base import Vector
+from bus.messages.buildings import Building
 from bus.messages.ground import MapUpdate, TileReport
 from bus.messages.links import LinkKind
 from bus.messages.scenario import Law
@@ -150,11 +151,14 @@ class UavPerception(Perception):
         super().__init__(world, name, episode)
         self._uav = [uav.name for uav in world.uavs].index(name)
         self._flies = bool(world.vertical[self.row]["flies"])
+        self._buildings: dict[int, tuple[Building, ...]] = {}  # by tick of discovery
 
     def receive(self, tick: int) -> None:
         """Receive this tick's messages and sensor reports; call once per tick."""
         if self._grounded:
             self._see_ground(tick)
+        if found := self._world.discovered(self._uav):
+            self._buildings[tick] = found
         self._now = self._world.received(self._uav)
         if self._now:
             self._arrived[tick] = self._now
@@ -172,7 +176,8 @@ class UavPerception(Perception):
         common = self._common(tick, motion, known=known, over=over)
         if self._flies:
             common["altitude"], common["climb_rate"] = motion[2]
-        return UavObservation(**common, detections=arrived, law=news.law)
+        found = self._buildings.get(tick, ()) if known else ()
+        return UavObservation(**common, detections=arrived, buildings=found, law=news.law)
 
 
 class UgvPerception(Perception):

@@ -1,0 +1,166 @@
+"""UAVs without a map of the buildings discover them, and see behind none of them."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from shapely import LineString, Point, Polygon
+
+import outrider
+from agents.uav import UavPilot
+from bus.messages.buildings import Building
+from bus.messages.vehicle import UavObservation
+from outrider.envs.closed_loop import ClosedLoop
+from outrider.envs.env_pilots import pilots
+from outrider.running.flying import InProcess, make_pilots
+from sim.engine.briefing import all_buildings
+from sim.models.camera import range_at
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
+from sim.server.flight import Flight
+
+CHANGES = ["duration=40", "building_field=[]", "altitude.law=best", "uav.0.max_altitude=20"]
+BLOCKS = {
+    "house": ((6.0, 1.0), (8.0, 1.0), (8.0, 3.0), (6.0, 3.0)),
+    "yard": ((5.0, 7.0), (9.0, 7.0), (9.0, 8.0), (6.0, 8.0), (6.0, 9.0), (5.0, 9.0)),
+    "hut behind the tower": ((11.0, 4.0), (11.4, 4.0), (11.4, 4.4), (11.0, 4.4)),
+    "tower": ((9.0, 3.5), (10.5, 3.5), (10.5, 5.0), (9.0, 5.0)),
+    "far away": ((30.0, 30.0), (33.0, 30.0), (33.0, 33.0), (30.0, 33.0)),
+}
+"""Footprints [m] of buildings, of which one hides another."""
+HEIGHTS = (2.0, 4.0, 1.0, 11.0, 5.0)
+SEED = 3
+
+
+def town(*changes: str) -> Scenario:
+    """Return a town whose buildings the UAV meets on its way."""
+    houses = (
+        f"{{polygon={[list(corner) for corner in polygon]}, height={height}}}"
+        for polygon, height in zip(BLOCKS.values(), HEIGHTS, strict=True)
+    )
+    blocks = f"building=[{', '.join(houses)}]"
+    return load_scenario("town", overrides=[*CHANGES, blocks, "buildings.known=false", *changes])
+
+
+class Flown:
+    """Run of a town in one process, with all observations of its UAV."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.seen: list[UavObservation] = []
+        self.flight = Flight(scenario, SEED)
+        vehicles = make_pilots(scenario, SEED)
+        pilot: Any = vehicles["uav_0"]
+        self.pilot: UavPilot = pilot
+        perceive = pilot.perceive
+
+        def record(observation: UavObservation) -> None:
+            self.seen.append(observation)
+            perceive(observation)
+
+        pilot.perceive = record
+        self.flight.fly(InProcess(vehicles))
+        perceive(self.flight.perceptions["uav_0"].observe(over=True))  # of the last state
+
+    @property
+    def town(self) -> tuple[Building, ...]:
+        """Buildings of the run."""
+        return all_buildings(self.flight.scenario, SEED)
+
+    @property
+    def found(self) -> dict[int, int]:
+        """Number of buildings discovered in each tick with a discovery."""
+        return {one.tick: len(one.buildings) for one in self.seen if one.buildings}
+
+
+@pytest.fixture(scope="module")
+def flown() -> Flown:
+    return Flown(town())
+
+
+def visible_corners(flown: Flown, observation: UavObservation) -> list[bool]:
+    """Return whether a UAV sees a corner of each building of its town, by shapely."""
+    scenario = flown.flight.scenario
+    (x, y), z = observation.position, observation.altitude or 0.0
+    reach = range_at(scenario.sensor.range, np.tan(scenario.camera.half_angle), z)
+    shapes = [(Polygon(one.polygon), one.height) for one in flown.town]
+
+    def sees(corner: tuple[float, float], height: float) -> bool:
+        if Point(corner).distance(Point(x, y)) > reach:
+            return False
+        for shape, other in shapes:
+            if other > height:
+                share = (other - height) / (z - height)
+                end = [a + share * (b - a) for a, b in zip(corner, (x, y), strict=True)]
+                if LineString([corner, end]).intersects(shape):
+                    return False
+        return True
+
+    return [any(sees(corner, one.height) for corner in one.polygon) for one in flown.town]
+
+
+def test_a_building_is_discovered_when_a_corner_comes_into_view(flown: Flown) -> None:
+    """It never looks lower than the roofs here."""
+    once: set[int] = set()
+    for one in flown.seen:
+        now = {k for k, seen in enumerate(visible_corners(flown, one)) if seen}
+        assert len(one.buildings) == len(now - once), one.tick
+        polygons = {flown.town[k].polygon for k in now - once}
+        assert {building.polygon for building in one.buildings} == polygons
+        once |= now
+    assert len(once) == len(flown.town) - 1  # not the one far away
+    assert max(flown.found) > 0  # not all in the first tick
+
+
+def test_own_map_counts_no_hidden_ground(flown: Flown) -> None:
+    """Except under the buildings, the map is that of the world."""
+    own, true = flown.pilot.coverage, flown.flight.world.coverage
+    cell = flown.flight.scenario.area.cell
+    x = (np.arange(own.shape[1]) + 0.5) * cell
+    y = (np.arange(own.shape[0]) + 0.5) * cell
+    shapes = [Polygon(one.polygon).buffer(1e-6) for one in flown.town]
+    places = np.argwhere(own != true)
+    assert len(places) > 0  # the ground under the buildings
+    for j, i in places:
+        assert any(shape.contains(Point(x[i], y[j])) for shape in shapes)
+
+
+def test_batch_and_environment_discover_like_a_run(flown: Flown) -> None:
+    loop = ClosedLoop(flown.flight.scenario, 2, error=True, end_on_sight_lost=False)
+    loop.begin([SEED, SEED + 1])
+    loop.fly()
+    state, world = loop.state, flown.flight.world
+    place = state.batch.vehicles["reference_position"][0]
+    assert place == pytest.approx(world.reference_position, abs=1e-9)
+    found = state.batch.town.found
+    ticks, counts = np.unique(found[0, 0][found[0, 0] >= 0], return_counts=True)
+    assert dict(zip(ticks.tolist(), counts.tolist(), strict=True)) == flown.found
+    assert not np.array_equal(found[0], found[1])
+    np.testing.assert_allclose(state.maps[0, 0], flown.pilot.coverage, atol=1e-9)
+    env = outrider.parallel_env(flown.flight.scenario, end_on_sight_lost=False)
+    seen, _ = env.reset(seed=SEED)
+    policies = pilots(env)
+    while env.agents:
+        seen, *_ = env.step({name: policies[name](seen[name]) for name in env.agents})
+    assert np.array_equal(env.world.reference_position, world.reference_position)
+
+
+def test_a_vehicle_that_rejoins_learns_of_them_again(flown: Flown) -> None:
+    perception = flown.flight.perceptions["uav_0"]
+    end = max(flown.found) + 1
+    states = np.zeros((end, 4)), np.zeros((end, 2))
+    missed = min(flown.found)
+    past = perception.past(0, end, *states, missed=())
+    assert [one.buildings for one in past] == [one.buildings for one in flown.seen[:end]]
+    assert not perception.past(0, end, *states, missed=(missed,))[missed].buildings
+
+
+@pytest.mark.parametrize("scenario", [town("buildings.known=true"), "town"], ids=["given", "drawn"])
+def test_only_buildings_of_no_briefing_are_discovered(scenario: Any) -> None:
+    """A UAV is never briefed on the blocks of a field."""
+    drawn = scenario == "town"
+    loop = ClosedLoop(load_scenario("town", overrides=["duration=40"]) if drawn else scenario, 1)
+    loop.begin([1])
+    loop.fly()
+    town = loop.state.batch.town
+    assert (town.found >= 0).any() == drawn
+    assert (town.seen["height"] > 0.0).any()
