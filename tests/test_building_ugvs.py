@@ -56,7 +56,9 @@ def near_building(one: Scenario, seeds: int = 1) -> list[int]:
     loop.close()
     assert all(one.arrived for one in missions)
     assert sum(one.ground_certificate_broken for one in missions) == 0
-    return [one.guarantees["ugv_0"].near_building for one in missions]
+    counts = [one.guarantees["ugv_0"].near_building for one in missions]
+    assert [one.near_building or 0 for one in missions] == counts
+    return counts
 
 
 # Tiles near a building

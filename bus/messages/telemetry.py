@@ -135,6 +135,8 @@ class MissionResult(Message, frozen=True, kw_only=True):
     """Ticks in which a UGV drove on a tile that it did not know to be drivable, over all UGVs."""
     ground_certificate_broken: Tick = 0
     """Sum of `UgvGuarantee.certificate_broken` over all UGVs."""
+    near_building: Tick | None = None
+    """Sum of `UgvGuarantee.near_building` over all UGVs; None: no UGV declares a distance."""
     guarantees: dict[Name, UgvGuarantee] = {}
     """Guarantee of each UGV, by name."""
     stationary_time: NonNegative

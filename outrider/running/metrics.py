@@ -171,6 +171,9 @@ MISSION = _table(
            "Certified ticks after which a cautious UGV lost the certificate or left known "
            "tiles, although all assumptions held.",
            total="sum", goal=0.0, guaranteed=True, column="int64"),
+    Metric("near_building", "too near to a building", "ticks", 0,
+           "Ticks in which a UGV was nearer to a building than its `building_clearance`; none "
+           "if no UGV declares one.", total="sum", goal=0.0, column="int64"),
     Metric("stationary_time", "standstill", "s", 1,
            "Time for which UGVs stood still before arrival.",
            total="sum", column="double"),

@@ -252,6 +252,7 @@ def mission_of(
         ground_certified_share=certified / reported if reported else None,
         entered_unknown_tile=int(ugvs["entered"].sum()),
         ground_certificate_broken=int(ugvs["broken"].sum()),
+        near_building=int(ugvs["near_building"].sum()) if ground.clearances.any() else None,
         guarantees=guarantees,
         stationary_time=float(ugvs["still"].sum() * dt),
         finds=int(finds.sum()),

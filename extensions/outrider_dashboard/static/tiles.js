@@ -97,6 +97,7 @@ function showGuarantees(mission, of) {
   const counted = [
     [of("entered_unknown_tile"), sum("entered_unknown_tile")],
     [of("ground_certificate_broken"), sum("certificate_broken")],
+    [of("near_building"), sum("near_building")],
   ].filter(([, count]) => count);
   const note = counted.map(([metric, count]) => `${metric.label} ${textOf(metric, count)}`).join(" · ");
   $(`tile-${row.name}`).hidden = !guarantees.length;
