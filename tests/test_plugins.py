@@ -149,7 +149,6 @@ def flights(package: Path) -> dict[str, Any]:
     return answer(package, FLIGHTS)
 
 
-@pytest.mark.long
 def test_law_driver_and_sensor_of_a_package_fly_in_one_process(flights: dict[str, Any]) -> None:
     assert len(set(flights["hashes"])) == 5
     assert np.abs(np.subtract(flights["positions"], [[10.0, 11.0], [10.0, 10.0]])).min() > 1e-3
@@ -235,7 +234,8 @@ def test_its_command_is_listed_and_its_policy_drives(command) -> None:
     assert (wrong.returncode, "allowed: gain:0.3" in wrong.stderr) == (2, True)
 
 
-@pytest.mark.parametrize("pilot", ["uav", pytest.param("hover", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("pilot", ["uav", "hover"])
 def test_all_that_packages_add_flies_and_is_recorded(pilot, package, tmp_path, monkeypatch) -> None:
     """Law, driver and sensor of the guide's package; pilot and sink of the example."""
     monkeypatch.setenv("PYTHONPATH", with_package(package)["PYTHONPATH"])

@@ -24,7 +24,6 @@ from sim.scene.colors import GOOD, LIMIT, UAV
 from sim.scene.known import geometry_of
 from statuses import a_status, a_truth, a_vehicle
 
-TOWN = load_scenario("town")
 HOUSES = tuple(
     Building(polygon=((x, 5.0), (x + 3.0, 5.0), (x + 3.0, 9.0)), height=4.0) for x in (10.0, 20.0)
 )
@@ -74,6 +73,7 @@ def a_page() -> Iterator[Any]:
 
 
 def test_a_run_with_altitudes_is_shown_in_three_dimensions(shown: Any) -> None:
+    town = load_scenario("town")
     hub, show = shown
     scene = show(status(), truth(1.0, 9.0, 5.5))
     kinds = [type(one) for one in scene.objects.values()]
@@ -84,17 +84,17 @@ def test_a_run_with_altitudes_is_shown_in_three_dimensions(shown: Any) -> None:
         one for one in scene.objects.values() if isinstance(one, Cylinder) and one.color == GOOD
     ]
     (line,) = lines
-    height = 9.0 - TOWN.ugv[0].marker_height
+    height = 9.0 - town.ugv[0].marker_height
     assert line.sy == pytest.approx(math.hypot(3.0, 4.0, height))
     along = [row[1] * line.sy for row in line.R]
     assert along == pytest.approx([3.0, 4.0, -height])
     cone = next(
         one for one in scene.objects.values() if isinstance(one, Cylinder) and one.opacity < 0.5
     )
-    assert (cone.sx, cone.sy, cone.z) == pytest.approx((TOWN.sensor.range, 9.0, 4.5))
+    assert (cone.sx, cone.sy, cone.z) == pytest.approx((town.sensor.range, 9.0, 4.5))
     assert show(truth(2.0, 3.0, 0.0)) is scene
     assert (uav.z, line.color) == (3.0, LIMIT)
-    assert cone.sx == pytest.approx(3.0 * math.tan(TOWN.camera.half_angle))
+    assert cone.sx == pytest.approx(3.0 * math.tan(town.camera.half_angle))
     assert [row[-1] for row in hub.history.rows] == [5.5, None]  # hidden
 
 
