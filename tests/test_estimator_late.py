@@ -91,7 +91,7 @@ flights = st.lists(
     enabled=st.sampled_from([True, True, True, False]),
     order=st.randoms(use_true_random=False),
 )
-@settings(PROPERTY, max_examples=150)
+@settings(PROPERTY, max_examples=80)
 def test_arrival_order_changes_no_bit_of_the_estimate(
     flight, target, max_rejections, enabled, order
 ):

@@ -53,11 +53,10 @@ def test_a_batch_navigates_as_runs_do(name: str) -> None:
     assert_batch_flies_alike(scenario, flown_in_both(scenario, 4)[1])
 
 
-@pytest.mark.parametrize(("profile", "seed"), [("wifi-poor", 0), ("jammed", 1)])
-def test_a_cautious_ugv_enters_no_unknown_tile(profile: str, seed: int) -> None:
+def test_a_cautious_ugv_enters_no_unknown_tile() -> None:
     """Over bad links its commands carry the following stop."""
-    scenario = load_scenario("minefield", overrides=[f"links.profile={profile}"])
-    mission = fly(scenario, seed)[1].mission
+    scenario = load_scenario("minefield", overrides=["links.profile=jammed"])
+    mission = fly(scenario, 1)[1].mission
     assert mission is not None
     assert mission.entered_unknown_tile == 0
     assert mission.arrived
