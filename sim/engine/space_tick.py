@@ -53,7 +53,7 @@ def _nothing_known(town: None, world: int, k: int, z: float) -> None:
 
 
 known_occlusion_of = unless_none(_known_occlusion, _nothing_known)
-"""`known_occlusion_of(town, world, k, z)`: likewise the buildings that the k-th UAV knows."""
+"""`known_occlusion_of(town, world, k, z)`: the same with the buildings that the k-th UAV knows."""
 
 
 @compiled
