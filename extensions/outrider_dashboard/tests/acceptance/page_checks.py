@@ -47,7 +47,7 @@ _GOAL_IS_DRAWN = """(() => {
 
 def _scenario() -> str:
     """Return the text of a scenario with three pairs, near one another."""
-    lines = ['title = "Three pairs"', "duration = 400.0", '[law]\nname = "certified"']
+    lines = ['title = "Three pairs"', "duration = 200.0", '[law]\nname = "certified"']
     for k in range(_PAIRS):
         x, y = 7.0 + 6.0 * k, 8.0 + 4.0 * k
         lines += [
