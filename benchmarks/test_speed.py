@@ -146,11 +146,12 @@ def test_env_step(benchmark: Any, side: Callable[[], Work]) -> None:
 
 
 @contextmanager
-def _batch_step(ground: str) -> Iterator[tuple[Callable[[], object], int]]:
-    """A UAV at 14 m above a UGV that drives from the corner of the area, on this ground."""
+def _batch_step(width: float, ground: str) -> Iterator[tuple[Callable[[], object], int]]:
+    """A UAV at 14 m above a UGV that drives from the corner of a square area, on this ground."""
     changes = ["building_field=[]", 'ugv.0.driver="waypoints"', "ugv.0.building_clearance=0"]
     start = ["ugv.0.position=[0.7, 0.7]", "ugv.0.goals=[]"]
-    scenario = load_scenario("town", overrides=[*changes, *start, ground])
+    size = [f"area.width={width}", f"area.height={width}"]
+    scenario = load_scenario("town", overrides=[*changes, *start, *size, ground])
     batch = Batch(scenario, _PART, threads=1)
     batch.begin(list(range(_PART)))
     accelerations = np.random.default_rng(1).uniform(-0.3, 0.3, (64, _PART, 2, 2))
@@ -169,26 +170,52 @@ def _batch_step(ground: str) -> Iterator[tuple[Callable[[], object], int]]:
     yield step, _PART
 
 
-def step_in_town() -> Work:
-    """Return the world step among 30 blocks with sides of 4 m to 6 m and heights of 3 m to 8 m."""
+def _blocks(width: float) -> str:
+    """Return 30 blocks with sides of 4 m to 6 m and heights of 3 m to 8 m, evenly over a square area."""
     rng, blocks = np.random.default_rng(0), []
     for k in range(30):
-        x, y = 1.5 + 7.7 * (k % 5), 1.5 + 6.4 * (k // 5)
-        width, depth, height = rng.uniform((4.0, 4.0, 3.0), (6.0, 5.0, 8.0)).round(1).tolist()
-        right, top = x + width, y + depth
+        x, y = 1.5 + 0.19 * width * (k % 5), 1.5 + 0.16 * width * (k // 5)
+        across, deep, height = rng.uniform((4.0, 4.0, 3.0), (6.0, 5.0, 8.0)).round(1).tolist()
+        right, top = x + across, y + deep
         corners = f"[[{x}, {y}], [{right}, {y}], [{right}, {top}], [{x}, {top}]]"
         blocks.append(f"{{polygon={corners}, height={height}}}")
-    return _batch_step(f"building=[{', '.join(blocks)}]")
+    return f"building=[{', '.join(blocks)}]"
+
+
+_HAZARD = 'hazard=[{kind="block", center=[39.0, 1.0], radius=0.3}]'
+_WIDE, _DENSE = 90.0, 40.0
+"""Widths of areas on which 30 blocks are as close as in `town`, and closer: four in the UAV's range [m]."""
+
+
+def step_in_town() -> Work:
+    """Return the world step among 30 blocks as close as in the scenario `town`."""
+    return _batch_step(_WIDE, _blocks(_WIDE))
 
 
 def step_beside_a_hazard() -> Work:
     """Return the same with one hazard instead of the blocks."""
-    return _batch_step('hazard=[{kind="block", center=[39.0, 1.0], radius=0.3}]')
+    return _batch_step(_WIDE, _HAZARD)
 
 
 @beside(step_in_town, step_beside_a_hazard)
 def test_buildings(benchmark: Any, side: Callable[[], Work]) -> None:
     """A world step among 30 buildings beside one with a hazard instead."""
+    time_steps(benchmark, side())
+
+
+def step_in_dense_town() -> Work:
+    """Return the world step among 30 blocks of which four are in the UAV's range."""
+    return _batch_step(_DENSE, _blocks(_DENSE))
+
+
+def step_beside_one_hazard() -> Work:
+    """Return the same with one hazard instead of the blocks."""
+    return _batch_step(_DENSE, _HAZARD)
+
+
+@beside(step_in_dense_town, step_beside_one_hazard)
+def test_dense_buildings(benchmark: Any, side: Callable[[], Work]) -> None:
+    """The same on a fifth of the ground."""
     time_steps(benchmark, side())
 
 
