@@ -149,6 +149,7 @@ def flights(package: Path) -> dict[str, Any]:
     return answer(package, FLIGHTS)
 
 
+@pytest.mark.long
 def test_law_driver_and_sensor_of_a_package_fly_in_one_process(flights: dict[str, Any]) -> None:
     assert len(set(flights["hashes"])) == 5
     assert np.abs(np.subtract(flights["positions"], [[10.0, 11.0], [10.0, 10.0]])).min() > 1e-3

@@ -215,7 +215,6 @@ SHARES: list[tuple[dict[str, Any], int, int, float]] = [
     ({"loss": 0.1, "burst_length": 0.2, "burst_interval": 0.5, "burst_loss": 0.8}, 2, 8, 0.0),
     ({"loss": 0.1, "blackout_interval": 5.0, "blackout_length": 0.5}, 2, 8, 0.1),
     ({"loss": 0.1, "jitter": 0.1, "jitter_shape": "exponential", "max_jitter": 0.4}, 1, 6, 0.1),
-    ({"loss": 0.4, "blackouts": ((100.0, 0.3), (200.0, 0.2))}, 1, 6, 0.1),
 ]
 
 

@@ -356,7 +356,7 @@ def test_nothing_found_is_no_file_and_exit_code_0(here, command):
 
 
 def test_ctrl_c_keeps_the_best(tmp_path: Path) -> None:
-    arguments = words("falsify --law switching --limit none --minutes 5 --jobs 2 --json")
+    arguments = words("falsify --law switching --limit none --minutes 5 --jobs 1 --json")
     process = subprocess.Popen([*OUTRIDER, *arguments], cwd=tmp_path, **PIPES)
     assert process.stderr is not None
     while "runs" not in process.stderr.readline():  # the first line of progress
