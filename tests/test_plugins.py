@@ -236,8 +236,10 @@ def test_its_command_is_listed_and_its_policy_drives(command) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("pilot", ["uav", "hover"])
-def test_all_that_packages_add_flies_and_is_recorded(pilot, package, tmp_path, monkeypatch) -> None:
+@pytest.mark.parametrize(("pilot", "law"), [("uav", "cautious"), ("hover", "external")])
+def test_all_that_packages_add_flies_and_is_recorded(
+    pilot, law, package, tmp_path, monkeypatch
+) -> None:
     """Law, driver and sensor of the guide's package; pilot and sink of the example."""
     monkeypatch.setenv("PYTHONPATH", with_package(package)["PYTHONPATH"])
     connect = ("--connect", f"tcp/127.0.0.1:{free_port()}")
@@ -256,7 +258,7 @@ def test_all_that_packages_add_flies_and_is_recorded(pilot, package, tmp_path, m
         assert [process.wait(60) for process in pilots] == [0, 0]
         assert recorder.wait(60) == 0
     summary = json.loads(out)
-    assert (summary["ticks"], summary["law"], summary["deterministic"]) == (40, "cautious", True)
+    assert (summary["ticks"], summary["law"], summary["deterministic"]) == (40, law, True)
     rows = [line.split(",") for line in track.read_text(encoding="utf-8").splitlines()]
     assert rows[0] == ["time", "vehicle", "x", "y"]
     last = {name: (float(x), float(y)) for _, name, x, y in rows[1:]}
