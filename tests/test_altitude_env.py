@@ -174,31 +174,33 @@ def test_uav_that_starts_below_the_roofs_brakes_and_climbs(side: float) -> None:
 # -- the information contract
 
 
-def beside_a_wall(x: float, known: str) -> Any:
-    """Return an environment with a wall whose left side is at x, and a picture of the UAV's own map."""
-    place = f"building=[{{height=4, polygon=[[{x},2],[{x + 2},2],[{x + 2},9],[{x},9]]}}]"
+def beside_a_hut(x: float, known: str) -> Any:
+    """Return an environment with a hut whose left side is at x, and a picture of the UAV's own map."""
+    place = f"building=[{{height=4, polygon=[[{x},2],[{x + 1},2],[{x + 1},5],[{x},5]]}}]"
     changed = town("building_field=[]", f"buildings.known={known}", place)
     env = outrider.single_env(changed, end_on_sight_lost=False, coverage_patch=(13, 1.0))
     env.reset(seed=2)
     return env
 
 
-def test_own_map_shows_no_building_before_its_corner_is_seen() -> None:
-    """Without a map of the buildings, the UAV's own map does not depend on where they are until it sees one."""
-    envs = [beside_a_wall(x, "false") for x in (9, 10)]
+def test_own_map_shows_no_building_before_its_corners_are_seen() -> None:
+    """Without a map, the UAV's own map does not depend on where buildings are until it has seen all corners of one."""
+    envs = [beside_a_hut(x, "false") for x in (8, 9)]
     for _ in range(120):
         maps = [env.step([0.3, 0.0, 0.0])[0]["coverage"] for env in envs]
         x, y = envs[0].worlds.loop.state.batch.vehicles["reference_position"][0, 0]
-        sees = [np.hypot(left - x, 2.0 - y) <= 5.0 for left in (9, 10)]  # range of its sensor
-        assert np.array_equal(*maps) != any(sees)
-        if any(sees):
+        # 5 m: range of its sensor; the farthest corners are at y = 2 m
+        seen = [np.hypot(left + 1.0 - x, 2.0 - y) <= 5.0 for left in (8, 9)]
+        if any(seen):
             break
-    assert sees == [True, False]
+        assert np.array_equal(*maps)
+    assert not np.array_equal(*maps)
+    assert seen == [True, False]
     assert x > 3.5  # it starts at 3 m
 
 
 def test_own_map_shows_the_buildings_on_which_the_uav_is_briefed() -> None:
-    maps = [beside_a_wall(x, "true").step([0.3, 0.0, 0.0])[0]["coverage"] for x in (7, 8)]
+    maps = [beside_a_hut(x, "true").step([0.3, 0.0, 0.0])[0]["coverage"] for x in (7, 8)]
     assert not np.array_equal(*maps)
 
 

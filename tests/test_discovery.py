@@ -77,8 +77,8 @@ def flown() -> Flown:
     return Flown(town())
 
 
-def visible_corners(flown: Flown, observation: UavObservation) -> list[bool]:
-    """Return whether a UAV sees a corner of each building of its town, by shapely."""
+def visible_corners(flown: Flown, observation: UavObservation) -> list[set[int]]:
+    """Return the corners that a UAV sees of each building of its town, by shapely."""
     scenario = flown.flight.scenario
     (x, y), z = observation.position, observation.altitude or 0.0
     reach = range_at(scenario.sensor.range, np.tan(scenario.camera.half_angle), z)
@@ -95,33 +95,52 @@ def visible_corners(flown: Flown, observation: UavObservation) -> list[bool]:
                     return False
         return True
 
-    return [any(sees(corner, one.height) for corner in one.polygon) for one in flown.town]
+    return [
+        {n for n, corner in enumerate(one.polygon) if sees(corner, one.height)}
+        for one in flown.town
+    ]
 
 
-def test_a_building_is_discovered_when_a_corner_comes_into_view(flown: Flown) -> None:
-    """It never looks lower than the roofs here."""
-    once: set[int] = set()
+def test_a_building_is_discovered_when_all_its_corners_have_been_seen(flown: Flown) -> None:
+    """The UAV never flies lower than the roofs here."""
+    corners: list[set[int]] = [set() for _ in flown.town]
+    known: set[int] = set()
     for one in flown.seen:
-        now = {k for k, seen in enumerate(visible_corners(flown, one)) if seen}
-        assert len(one.buildings) == len(now - once), one.tick
-        polygons = {flown.town[k].polygon for k in now - once}
-        assert {building.polygon for building in one.buildings} == polygons
-        once |= now
-    assert len(once) == len(flown.town) - 1  # not the one far away
-    assert max(flown.found) > 0  # not all in the first tick
+        for seen, now in zip(corners, visible_corners(flown, one), strict=True):
+            seen.update(now)
+        complete = {k for k, seen in enumerate(corners) if len(seen) == len(flown.town[k].polygon)}
+        polygons = [flown.town[k].polygon for k in sorted(complete - known)]
+        assert [building.polygon for building in one.buildings] == polygons, one.tick
+        known |= complete
+    assert len(known) > 2
+    assert any(0 < len(seen) < 4 for seen in corners)
+    assert max(flown.found) > min(flown.found) > 0
 
 
-def test_own_map_counts_no_hidden_ground(flown: Flown) -> None:
-    """Except under the buildings, the map is that of the world."""
-    own, true = flown.pilot.coverage, flown.flight.world.coverage
-    cell = flown.flight.scenario.area.cell
-    x = (np.arange(own.shape[1]) + 0.5) * cell
-    y = (np.arange(own.shape[0]) + 0.5) * cell
+def differing(flown: Flown) -> dict[tuple[float, float], float]:
+    """Return by how much the UAV's own map exceeds that of the world, by the centers of the cells [m]."""
+    more, cell = flown.pilot.coverage - flown.flight.world.coverage, flown.flight.scenario.area.cell
+    return {((i + 0.5) * cell, (j + 0.5) * cell): more[j, i] for j, i in np.argwhere(more).tolist()}
+
+
+def test_own_map_shows_nothing_that_the_uav_has_not_seen(flown: Flown) -> None:
+    """Outside of discovered buildings, it covers at least what is covered, within the sensor's range."""
+    path = LineString([one.position for one in flown.seen]).buffer(5.0 + 1e-6)
+    found = [Polygon(building.polygon) for one in flown.seen for building in one.buildings]
+    differing_cells = differing(flown)
+    assert differing_cells
+    for place, more in differing_cells.items():
+        under = any(shape.intersects(Point(place)) for shape in found)
+        assert under or (more > 0.0 and path.contains(Point(place)))
+
+
+def test_own_map_counts_no_ground_hidden_by_a_discovered_building() -> None:
+    """Two huts whose corners are all in view from the start: except under them, the map is that of the world."""
+    huts = "building=[{polygon=[[5,4],[6,4],[6,5],[5,5]], height=4}, {polygon=[[3,7],[4,7],[3,8]], height=5}]"
+    flown = Flown(town(huts))
+    assert flown.found == {0: 2}
     shapes = [Polygon(one.polygon).buffer(1e-6) for one in flown.town]
-    places = np.argwhere(own != true)
-    assert len(places) > 0  # the ground under the buildings
-    for j, i in places:
-        assert any(shape.contains(Point(x[i], y[j])) for shape in shapes)
+    assert all(any(shape.contains(Point(place)) for shape in shapes) for place in differing(flown))
 
 
 def test_batch_and_environment_discover_like_a_run(flown: Flown) -> None:
@@ -157,9 +176,9 @@ def test_a_vehicle_that_rejoins_learns_of_them_again(flown: Flown) -> None:
 @pytest.mark.parametrize("drawn", [False, True], ids=["given", "drawn"])
 def test_only_buildings_of_no_briefing_are_discovered(drawn: bool) -> None:
     """A UAV is never briefed on the blocks of a field."""
-    field = load_scenario("town", overrides=["duration=40"]) if drawn else None
-    loop = ClosedLoop(field or town("buildings.known=true"), 1)
-    loop.begin([1])
+    scenario = load_scenario("town") if drawn else town("buildings.known=true")
+    loop = ClosedLoop(scenario, 8)
+    loop.begin(range(8))
     loop.fly()
     found = loop.state.batch.town
     assert (found.found >= 0).any() == drawn

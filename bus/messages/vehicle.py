@@ -212,7 +212,7 @@ class UavObservation(VehicleObservation, frozen=True, kw_only=True):
     detections: tuple[Detection, ...] = ()
     """Detections that arrived at this tick."""
     buildings: tuple[Building, ...] = ()
-    """Buildings discovered in this tick: its camera sees a corner for the first time."""
+    """Buildings discovered in this tick: its camera has now seen all their corners."""
     law: Law | None = None
     """Control law from this tick on; None: unchanged."""
 

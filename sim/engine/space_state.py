@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray, records
@@ -27,6 +28,8 @@ class TownState(NamedTuple):
     """
     found: IntArray
     """Tick in which each UAV discovered a building; -1: it did not. Shape (worlds, UAVs, buildings)."""
+    sighted: npt.NDArray[np.bool_]
+    """True for the corners that each UAV has seen. Shape (worlds, UAVs, corners)."""
 
 
 def cameras_of(scenario: Scenario) -> RecordArray | None:
@@ -60,4 +63,5 @@ def town_of(scenario: Scenario, worlds: int) -> TownState | None:
         np.repeat(corners[None], worlds, axis=0),
         np.tile(seen, (worlds, len(scenario.uav), 1)),
         np.full((worlds, len(scenario.uav), len(rows)), -1),
+        np.zeros((worlds, len(scenario.uav), len(corners)), dtype=np.bool_),
     )

@@ -69,14 +69,21 @@ def _discover(
         return
     x, y, z = uav.reference_position[0], uav.reference_position[1], uav.vertical.altitude
     reach = range_at(numbers.sensor.reach, cameras[k].tangent, z)
-    buildings, corners, seen = town.buildings[world], town.corners[world], town.seen[world, k]
+    buildings, corners = town.buildings[world], town.corners[world]
+    seen, sighted = town.seen[world, k], town.sighted[world, k]
     for n in range(buildings.shape[0]):
         row = buildings[n]
         if row["height"] == 0.0 or seen[n]["height"] > 0.0:
             continue
         d_x, d_y, far = row["x"] - x, row["y"] - y, row["reach"] + reach
-        near = d_x * d_x + d_y * d_y <= far * far
-        if near and sees_corner(buildings, corners, n, x, y, z, reach):
+        if d_x * d_x + d_y * d_y > far * far:
+            continue
+        missing = 0
+        for i in range(row["first"], row["first"] + row["corners"]):
+            if not sighted[i]:
+                sighted[i] = sees_corner(buildings, corners, n, i, (x, y, z), reach)
+            missing += 0 if sighted[i] else 1
+        if missing == 0:
             seen[n] = row
             town.found[world, k, n] = tick
 
@@ -93,7 +100,7 @@ def _discover_nothing(
 
 
 discover = unless_none(_discover, _discover_nothing)
-"""`discover(town, cameras, numbers, place, uav)`: note the buildings of which a UAV sees a corner for the first time.
+"""`discover(town, cameras, numbers, place, uav)`: note the buildings of which a UAV has now seen all corners.
 
 Like a ground sensor, it looks from the reference position. `place`: world, row among the UAVs, and tick.
 """

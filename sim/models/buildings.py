@@ -148,25 +148,31 @@ def building_distance(
 
 @compiled
 def sees_corner(
-    buildings: RecordArray, corners: FloatArray, k: int, x: float, y: float, z: float, reach: float
+    buildings: RecordArray,
+    corners: FloatArray,
+    k: int,
+    n: int,
+    camera: tuple[float, float, float],
+    reach: float,
 ) -> bool:
-    """Return whether a camera sees a corner of a building's roof; of its wall if the roof is higher than the camera.
+    """Return whether a camera sees a corner of a roof; of a wall if the roof is higher than the camera.
 
     Args:
         buildings, corners: Tables as from `building_table`.
-        k: Row of the building.
-        x, y, z: Position of the camera, and its height above the ground [m].
+        k, n: Row of the building, and row of its corner.
+        camera: Position of the camera, and its height above the ground [m].
         reach: Range of the camera on the ground [m].
     """
-    row = buildings[k]
-    for n in range(row["first"], row["first"] + row["corners"]):
-        d_x, d_y = x - corners[n, 0], y - corners[n, 1]
-        if d_x * d_x + d_y * d_y <= reach * reach:
-            # just before the corner: there the wall itself hides nothing
-            q_x, q_y = corners[n, 0] + _MARGIN * d_x, corners[n, 1] + _MARGIN * d_y
-            if line_of_sight(buildings, corners, x, y, z, q_x, q_y, min(row["height"], z)):
-                return True
-    return False
+    x, y, z = camera
+    d_x, d_y = x - corners[n, 0], y - corners[n, 1]
+    if d_x * d_x + d_y * d_y > reach * reach:
+        return False
+    # just before the corner: there the wall itself hides nothing
+    q_x, q_y = corners[n, 0] + _MARGIN * d_x, corners[n, 1] + _MARGIN * d_y
+    seen: bool = line_of_sight(
+        buildings, corners, x, y, z, q_x, q_y, min(buildings[k]["height"], z)
+    )
+    return seen
 
 
 @compiled

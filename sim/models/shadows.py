@@ -171,9 +171,7 @@ def cast_shadow(
             _add_building(shadow, occlusion, k, camera, per_cell, bottom)
     for n in range(rows):
         winding, row_winding = 0, shadow.winding[n, LANES:]
-        for i in range(
-            shadow.span[0, n], shadow.span[1, n] + 1
-        ):  # beyond, the winding number is 0 again
+        for i in range(shadow.span[0, n], shadow.span[1, n] + 1):  # 0 again beyond
             winding += row_winding[i]
             row_winding[i] = winding
     return shadow
