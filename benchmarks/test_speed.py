@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -183,39 +184,23 @@ def _blocks(width: float) -> str:
 
 
 _HAZARD = 'hazard=[{kind="block", center=[39.0, 1.0], radius=0.3}]'
-_WIDE, _DENSE = 90.0, 40.0
-"""Widths of areas on which 30 blocks are as close as in `town`, and closer: four in the UAV's range [m]."""
 
 
-def step_in_town() -> Work:
-    """Return the world step among 30 blocks as close as in the scenario `town`."""
-    return _batch_step(_WIDE, _blocks(_WIDE))
+def step_beside_blocks(width: float) -> pytest.MarkDecorator:
+    """Compare the world step among 30 blocks on an area of this width with that beside one hazard instead."""
+    sides = (partial(_batch_step, width, ground) for ground in (_blocks(width), _HAZARD))
+    return beside(*sides)
 
 
-def step_beside_a_hazard() -> Work:
-    """Return the same with one hazard instead of the blocks."""
-    return _batch_step(_WIDE, _HAZARD)
-
-
-@beside(step_in_town, step_beside_a_hazard)
+@step_beside_blocks(90.0)
 def test_buildings(benchmark: Any, side: Callable[[], Work]) -> None:
-    """A world step among 30 buildings beside one with a hazard instead."""
+    """A world step among 30 buildings, as close as in `town`, beside one with a hazard instead."""
     time_steps(benchmark, side())
 
 
-def step_in_dense_town() -> Work:
-    """Return the world step among 30 blocks of which four are in the UAV's range."""
-    return _batch_step(_DENSE, _blocks(_DENSE))
-
-
-def step_beside_one_hazard() -> Work:
-    """Return the same with one hazard instead of the blocks."""
-    return _batch_step(_DENSE, _HAZARD)
-
-
-@beside(step_in_dense_town, step_beside_one_hazard)
+@step_beside_blocks(40.0)
 def test_dense_buildings(benchmark: Any, side: Callable[[], Work]) -> None:
-    """The same on a fifth of the ground."""
+    """The same on a fifth of the ground, with four buildings in the UAV's range."""
     time_steps(benchmark, side())
 
 
