@@ -4,11 +4,12 @@ python benchmarks/cautious_attacks.py NAME
 
 attack: 10,000 runs over ground that an adversary reveals in its own order; in half of them it also controls the UGV.
 lossy: the same over links that lose, delay and reorder commands.
+clearance: the same, over the same links, for UGVs that keep a distance from all ground that they do not know.
 broken: the same with faulty filters, each of which must be caught.
 arrivals: share of reachable goals that are reached, with the sensor alone and with ground revealed in any order.
 speed: durations of a plan and of a tick; the slowest tick of a UGV that plans over 400 x 400 tiles.
 
-About three minutes for `attack`, one for each other.
+About six minutes for `clearance`, three for `attack` and `lossy`, one or two for each other.
 """
 
 import dataclasses
@@ -37,7 +38,7 @@ from agents.drivers.tile_map import OccupancyGrid, occupancy_grid, record_block,
 from sim.compiling.compile import FloatArray
 from sim.compiling.records import records
 from sim.models.ground import CERTIFIED, CLEAR, NO_CLAIM, UNSEEN, WAY_UNKNOWN, TileArray
-from sim.models.hazards import BLOCK, FOUND, ROUGH
+from sim.models.hazards import BLOCK, FOUND, ROUGH, TOUCH
 from sim.models.motion import NO_MOTION
 from sim.models.vehicles import Motion, brake, clip_norm, norm, step_vehicle, within_walls
 
@@ -89,6 +90,8 @@ class Trial:
     wheel: str
     """Nominal control: one of `WHEELS`."""
     ticks: int
+    clearance: float = 0.0
+    """Distance that the UGV keeps from every tile not known to be drivable [m]; 0: none."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,7 +102,9 @@ class Outcome:
     """Certified ticks followed by an uncertified one."""
 
     entered: int
-    """Ticks with a point in a tile not known to be drivable."""
+    """Ticks with a point in a tile not known to be drivable, or not known to be so far from blocked ones."""
+    near: int
+    """Ticks with a point within the clearance of a blocked tile."""
     way: float
     """Length of the path [m]."""
     ticks: int
@@ -198,6 +203,24 @@ def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Tr
     return dataclasses.replace(given, parameters=changed(parameters, plan_tiles=most))
 
 
+def draw_distant_trial(seed: int, *, wheel: str | None = None) -> Trial:
+    """Draw the trial of a seed in which the UGV keeps a distance, at its start too, from blocked tiles."""
+    rng = np.random.default_rng([seed, 2])
+    while True:
+        trial = draw_trial(int(rng.integers(1 << 30)), wheel=wheel)
+        tile, (rows, columns) = trial.parameters.tile, trial.truth.shape
+        blocks = np.argwhere(trial.truth == BLOCK)
+        x, y = trial.start
+        away = [
+            np.hypot(*np.maximum(np.abs(blocks - (i, j)) - 1.0, 0.0).T).min(initial=3.0)
+            for i in touched(y, tile, rows)
+            for j in touched(x, tile, columns)
+        ]
+        if min(away) > 0.0:
+            kept = tile * min(away) * float(rng.choice([0.999, rng.random()]))
+            return dataclasses.replace(trial, clearance=kept)
+
+
 class Teller:
     """Adversary that reveals true tiles in its own order."""
 
@@ -210,7 +233,7 @@ class Teller:
         self._wakes = int(rng.integers(0, 150))
 
     def _reveal(self, chosen: npt.NDArray[np.bool_]) -> None:
-        rows, columns = np.nonzero(chosen & (self.memory.tiles == UNSEEN))
+        rows, columns = np.nonzero(chosen & (self.memory.reported == UNSEEN))
         if len(rows):
             record_tiles(self.memory, rows, columns, self.trial.truth[rows, columns])
 
@@ -331,16 +354,10 @@ def _is_rough(trial: Trial, x: float, y: float) -> bool:
     )
 
 
-def _entered(trial: Trial, known: npt.NDArray[np.int64], states: list[Motion]) -> int:
-    """Count the ticks with a point of the path in a closed tile not known to be drivable at the tick's start.
-
-    The start itself may lie in such a tile.
-    """
+def _path(trial: Trial, states: list[Motion]) -> tuple[FloatArray, FloatArray]:
+    """Return points of the path [m]: x and y. Shape (ticks, points)."""
     track = np.array(states)
-    a, b = track[:-1], track[1:]
-    dt, s = trial.parameters.dt, trial.parameters.tile
-    bad = np.zeros(len(a), bool)
-    tick = np.arange(len(a))[:, None]
+    a, b, dt = track[:-1], track[1:], trial.parameters.dt
     shares = [np.repeat(_SAMPLES[None], len(a), axis=0)]
     for k in (2, 3):  # where the path reverses on an axis
         change = b[:, k] - a[:, k]
@@ -350,7 +367,30 @@ def _entered(trial: Trial, known: npt.NDArray[np.int64], states: list[Motion]) -
     for k in (0, 1):
         way = a[:, k, None] + dt * t * (a[:, k + 2, None] + 0.5 * t * (b - a)[:, k + 2, None])
         points.append(np.where(t == 1.0, b[:, k, None], way))
-    x, y = points
+    return points[0], points[1]
+
+
+def _near(trial: Trial, states: list[Motion]) -> int:
+    """Count the ticks with a point of the path within the clearance of a blocked tile."""
+    x, y = _path(trial, states)
+    s, near = trial.parameters.tile, np.zeros(len(x), bool)
+    for row, column in np.argwhere(trial.truth == BLOCK):
+        d_x = np.maximum(np.maximum(column * s - x, x - (column + 1) * s), 0.0)
+        d_y = np.maximum(np.maximum(row * s - y, y - (row + 1) * s), 0.0)
+        near |= (np.hypot(d_x, d_y) <= trial.clearance).any(axis=1)
+    return int(near.sum())
+
+
+def _entered(trial: Trial, known: npt.NDArray[np.int64], states: list[Motion]) -> int:
+    """Count the ticks with a point of the path in a closed tile not known to be drivable at the tick's start.
+
+    The start itself may lie in such a tile.
+    """
+    track = np.array(states)
+    a, b = track[:-1], track[1:]
+    x, y = _path(trial, states)
+    s, bad = trial.parameters.tile, np.zeros(len(a), bool)
+    tick = np.arange(len(a))[:, None]
     rows, columns = known.shape
     i, j = np.floor(y / s).astype(int), np.floor(x / s).astype(int)
     for r in (i - 1, i, i + 1):
@@ -370,6 +410,7 @@ def fly(
     believed: int | None = None,
     *,
     lossy: bool = False,
+    kept: float | None = None,
 ) -> Outcome:
     """Simulate a trial.
 
@@ -379,9 +420,15 @@ def fly(
         check: Replacement of `is_safe` in a faulty filter; then the adversary controls the UGV.
         believed: Delay assumed by a faulty filter.
         lossy: True for lost, late and reordered commands, which then carry the stop that follows them.
+        kept: Clearance of a faulty UGV [m].
     """
     parameters, rng = trial.parameters, np.random.default_rng([seed, 1])
-    memory = occupancy_grid(*trial.truth.shape, trial.delay if believed is None else believed)
+    kept = trial.clearance if kept is None else kept
+    memory = occupancy_grid(
+        *trial.truth.shape,
+        trial.delay if believed is None else believed,
+        clearance=(kept + TOUCH) / parameters.tile if kept > 0.0 else -1.0,
+    )
     teller = Teller(trial, memory, rng)
     known = np.full(trial.truth.shape, LATER)
     here, way, tick = Motion(*trial.start, 0.0, 0.0), 0.0, 0
@@ -424,7 +471,8 @@ def fly(
         way += math.dist((x, y), here[:2])
         here = Motion(x, y, v_x, v_y)
         states.append(here)
-    return Outcome(broken, _entered(trial, known, states), way, tick, bool(reached))
+    near = _near(trial, states) if trial.clearance > 0.0 else 0
+    return Outcome(broken, _entered(trial, known, states), near, way, tick, bool(reached))
 
 
 def is_reachable(trial: Trial) -> bool:
@@ -518,15 +566,23 @@ def lossy(runs: int = RUNS) -> Iterator[str]:
     yield from attack(runs, lossy=True)
 
 
-def attack(runs: int = RUNS, *, lossy: bool = False) -> Iterator[str]:
+def clearance(runs: int = RUNS) -> Iterator[str]:
+    """Run the attacks on UGVs that keep a distance from all ground that they do not know."""
+    yield from attack(runs, lossy=True, draw=draw_distant_trial)
+
+
+def attack(
+    runs: int = RUNS, *, lossy: bool = False, draw: Callable[[int], Trial] = draw_trial
+) -> Iterator[str]:
     """Run the attacks and count violations."""
-    count = dict.fromkeys(("flights", "entered", "broken", "ticks", "still"), 0)
+    count = dict.fromkeys(("flights", "entered", "near", "broken", "ticks", "still"), 0)
     way = 0.0
     for seed in range(runs):
-        trial = draw_trial(seed)
+        trial = draw(seed)
         one = fly(trial, seed, lossy=lossy)
         count["flights"] += 1
         count["entered"] += one.entered > 0
+        count["near"] += one.near > 0
         count["broken"] += one.broken
         count["ticks"] += one.ticks + 1
         count["still"] += one.way == 0.0
@@ -535,6 +591,8 @@ def attack(runs: int = RUNS, *, lossy: bool = False) -> Iterator[str]:
             yield f"seed {seed}: {one.entered} ticks in tiles not known to be drivable"
     yield f"{count['flights']} runs of {count['ticks']} ticks and {way:.0f} tiles' path"
     yield f"{count['entered']} of them entered a tile not known to be drivable"
+    if draw is draw_distant_trial:
+        yield f"{count['near']} of them came as near to a blocked tile as the clearance"
     if lossy:
         yield f"the certificate was broken {count['broken']} times"
     yield f"in {count['still']} of them the UGV did not move"
@@ -549,11 +607,15 @@ def broken(runs: int = 500) -> Iterator[str]:
     late = [seed for seed in range(3 * runs) if pushed_trial(seed).delay][:runs]
     caught = sum(fly(pushed_trial(k), k, is_safe, believed=0).entered > 0 for k in late)
     yield f"| delay of the commands ignored | {caught} of {len(late)} |"
+    distant = [pushed_trial(seed, draw_distant_trial) for seed in range(runs)]
+    kept = [max(one.clearance - one.parameters.tile, 0.0) for one in distant]
+    caught = sum(fly(one, k, kept=kept[k]).near > 0 for k, one in enumerate(distant))
+    yield f"| a tile less than the clearance | {caught} of {runs} |"
 
 
-def pushed_trial(seed: int) -> Trial:
+def pushed_trial(seed: int, draw: Callable[..., Trial] = draw_trial) -> Trial:
     """Draw the trial of a seed in which the adversary controls the UGV."""
-    return draw_trial(seed, wheel=WHEELS[1 + seed % 3])
+    return draw(seed, wheel=WHEELS[1 + seed % 3])
 
 
 def arrivals(runs: int = 500) -> Iterator[str]:
@@ -629,7 +691,14 @@ def speed() -> Iterator[str]:
     yield f"a tick on known ground: {1e6 * (time.perf_counter() - began) / ticks:.1f} µs with the vehicle"
 
 
-TABLES = {"attack": attack, "lossy": lossy, "broken": broken, "arrivals": arrivals, "speed": speed}
+TABLES = {
+    "attack": attack,
+    "lossy": lossy,
+    "clearance": clearance,
+    "broken": broken,
+    "arrivals": arrivals,
+    "speed": speed,
+}
 
 
 if __name__ == "__main__":

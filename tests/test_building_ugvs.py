@@ -20,13 +20,14 @@ from properties import PROPERTY
 from sim.engine.briefing import briefing
 from sim.models.ground import CLEAR, UNSEEN, add_polygon
 from sim.models.hazards import BLOCK
-from sim.scenario.checks import scenario_warnings
+from sim.scenario.checks import check_scenario, scenario_warnings
+from sim.scenario.ground_types import HazardField
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Ground, Scenario, Uav, Ugv
 from sim.scene.ground_map import KNOWN, UNKNOWN, ground_map
 from sim.world import World
 from test_ground_flights import assert_batch_flies_alike
-from towns import HOUSE, PASSING, UNKNOWN_MAP, distances, drawn, scenario
+from towns import HOUSE, PASSING, UNKNOWN_MAP, as_reported, distances, drawn, scenario
 
 PLACES = st.tuples(st.floats(0.5, 39.5), st.floats(0.5, 39.5))
 
@@ -48,7 +49,7 @@ def pushed(one: Scenario, u_x: float, u_y: float, ticks: int = 400) -> World:
 
 
 def near_building(one: Scenario, seeds: int = 1) -> list[int]:
-    """The simulator's counter after the flight with each seed."""
+    """The simulator's counter after the flight with each seed, in which every UGV arrives."""
     loop = ClosedLoop(one, seeds, threads=1, end_on_sight_lost=False)
     loop.begin(list(range(seeds)))
     loop.fly()
@@ -101,6 +102,31 @@ def test_ugv_knows_all_tiles_if_buildings_are_the_only_hazards() -> None:
         assert grid.tiles[16, 16] == others  # rounded at the corners
     unknown = scenario(buildings={"known": False})
     assert (briefed_grid(briefing(unknown, "ugv_0", 0)).tiles == UNSEEN).all()
+
+
+@given(
+    st.integers(0, 2**32),
+    st.sampled_from([0.0, 0.3, 0.5, 0.7, 1.0, 1.5]),
+    st.floats(0.0, 1.0),
+)
+@settings(PROPERTY, max_examples=40)
+def test_tiles_open_once_all_within_the_clearance_are_reported(seed, clearance, unseen):
+    rng = np.random.default_rng(seed)
+    ugv = msgspec.structs.replace(PASSING, building_clearance=clearance)
+    grid = briefed_grid(briefing(scenario(ugv, buildings={"known": False}), "ugv_0", 0))
+    letters = np.array(list(".~#*"))
+    for _ in range(6):
+        tiles = rng.choice(letters, size=64, p=[0.8, 0.08, 0.04, 0.08])
+        tiles[rng.random(64) < unseen] = "?"
+        column, row = rng.integers(0, 3, 2).tolist()
+        block = MapUpdate(column=column, row=row, tiles="".join(tiles.tolist()))
+        own = tuple(
+            TileReport(row=row, column=column, state=str(rng.choice(letters)))
+            for row, column in rng.integers(0, 24, (int(rng.integers(3)), 2)).tolist()
+        )
+        here = {"position": (7.0, 8.8), "velocity": (0.0, 0.0), "tile_reports": own}
+        update_grid(grid, UgvObservation(tick=0, time=0.0, **here, map_updates=(block,)))
+        assert (grid.tiles == as_reported(grid.reported, clearance / 0.5)).all()
 
 
 def test_no_report_opens_a_tile_near_a_known_building() -> None:
@@ -162,6 +188,16 @@ def test_cautious_ugv_keeps_its_clearance_in_towns(town: Scenario, seeds: int) -
     assert near_building(msgspec.structs.replace(town, uav=()), seeds) == [0] * seeds
 
 
+@pytest.mark.parametrize("seeds", [4, pytest.param(50, marks=pytest.mark.long)])
+def test_cautious_ugv_keeps_its_clearance_in_unknown_towns(seeds: int) -> None:
+    """Its UAV is certified all the time, without a map of either vehicle."""
+    mines = HazardField(kind="block", count=30, radius=(0.2, 0.4))
+    town = load_scenario("town", overrides={**UNKNOWN_MAP, "duration": 900.0})
+    one = check_scenario(msgspec.structs.replace(town, hazard_field=(mines,)))
+    assert near_building(one, seeds) == [0] * seeds
+    assert fly(msgspec.structs.replace(one, duration=60.0), 1)[1].certified_share == 1.0
+
+
 def test_cautious_ugvs_of_the_other_shipped_scenarios_keep_it() -> None:
     courtyard = load_scenario("courtyard", overrides=["uav=[]"])
     assert near_building(courtyard) == [0]
@@ -182,9 +218,20 @@ def test_clearance_is_warned_of_unless_it_is_kept() -> None:
         one = load_scenario("town", overrides=changes)
         return any("building_clearance = 1.5: not ensured" in x for x in scenario_warnings(one))
 
+    unknown = {**UNKNOWN_MAP, "building_field.0.street": 6.0, "ugv.0.building_clearance": 1.5}
     assert not warned()
-    for changes in ({"ugv.0.caution": "bold"}, {"ugv.0.driver": "wander"}, UNKNOWN_MAP):
+    assert not warned(**unknown)
+    for changes in ({"ugv.0.caution": "bold"}, {"ugv.0.driver": "wander"}):
         assert warned(**changes)
+    assert warned(**unknown, **{"ground.miss": 0.1})
+    assert not warned(**unknown, **{"ground.false_alarm": 0.1})
+
+
+def test_a_ugv_that_may_wait_beside_an_unknown_building_is_warned_of() -> None:
+    for sensing, told in ((1.9, True), (2.0, False)):
+        changes = {**UNKNOWN_MAP, "ground.sensing_range": sensing}
+        warnings = scenario_warnings(load_scenario("town", overrides=changes))
+        assert any("may wait forever beside an unknown building" in x for x in warnings) == told
 
 
 def test_legs_through_a_given_building_are_warned_of() -> None:

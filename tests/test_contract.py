@@ -59,7 +59,7 @@ def test_ugv_receives_exactly_these_fields() -> None:
         tick time position velocity radio relative_position coverage_error over episode
         operator driver goal goals goal_tolerance script command_timeout key past more
         ground tile sensing_range caution delay rough_speed_share executes_trajectories
-        buildings polygon building_clearance only_buildings
+        buildings polygon building_clearance tile_clearance only_buildings
         tile_reports column row state map_updates tiles committed_trajectory
         vehicle dt area width height cell limits max_speed max_acceleration"""
     assert fields_of(TO_UGV) == {*words(known)}

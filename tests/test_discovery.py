@@ -19,7 +19,13 @@ from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
-CHANGES = ["duration=40", "building_field=[]", "altitude.law=best", "uav.0.max_altitude=20"]
+CHANGES = [
+    "duration=40",
+    "building_field=[]",
+    "altitude.law=best",
+    "uav.0.max_altitude=20",
+    "ugv.0.building_clearance=0",
+]
 BLOCKS = {
     "house": ((6.0, 1.0), (8.0, 1.0), (8.0, 3.0), (6.0, 3.0)),
     "yard": ((5.0, 7.0), (9.0, 7.0), (9.0, 8.0), (6.0, 8.0), (6.0, 9.0), (5.0, 9.0)),

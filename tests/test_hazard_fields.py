@@ -11,7 +11,7 @@ from properties import PROPERTY
 from seeded import a_key
 from sim.compiling.records import records
 from sim.engine.run_keys import derive_keys
-from sim.models.ground import CLEAR, fill_tiles, tile_index, tiles_shape
+from sim.models.ground import CLEAR, add_disc, fill_tiles, tile_index, tiles_shape
 from sim.models.hazard_fields import MOST_MISSES, HazardFieldRow, place_hazards, work_array
 from sim.models.hazards import BLOCK, FOUND, ROUGH, HazardRow
 from sim.models.randomness import HAZARD_FIELDS, HAZARD_PLACE, draw, key_of
@@ -34,8 +34,11 @@ def route_tiles(*routes) -> np.ndarray:
     return np.array([(*a, *b, 1 << n) for n, (a, b) in enumerate(tiles)], dtype=np.int64)
 
 
-def field(kind: int, count: int, radius=(0.2, 0.7), clear: float = 0.0) -> HazardFieldRow:
-    return HazardFieldRow(kind, count, *radius, share=0.5 if kind == ROUGH else 1.0, clear=clear)
+def field(
+    kind: int, count: int, radius=(0.2, 0.7), clear: float = 0.0, kept: float = 0.0
+) -> HazardFieldRow:
+    share = 0.5 if kind == ROUGH else 1.0
+    return HazardFieldRow(kind, count, *radius, share=share, clear=clear, kept=kept)
 
 
 def place(fields, routes, key, given=()) -> tuple[np.ndarray, np.ndarray, int]:
@@ -49,6 +52,14 @@ def place(fields, routes, key, given=()) -> tuple[np.ndarray, np.ndarray, int]:
     ground = hazards, len(given), tiles, work_array(*SHAPE)
     behind = place_hazards(wanted, points, ways, AREA, TILE, key, *ground)
     return hazards, tiles, behind
+
+
+def enlarged(hazards: np.ndarray, kept: float) -> np.ndarray:
+    """Return the tiles that the hazards touch, enlarged by a distance [m]."""
+    tiles = np.zeros(SHAPE, dtype=np.uint8)
+    for one in hazards:
+        add_disc(one["x"], one["y"], one["radius"] + kept, BLOCK, TILE, tiles)
+    return tiles
 
 
 def is_open(tiles: np.ndarray, routes) -> bool:
@@ -109,11 +120,14 @@ def test_discs_match_a_fill_of_the_ground_for_each(seed, a, b, c, d):
     st.integers(0, 2**32),
     st.lists(st.lists(places, min_size=2, max_size=4), min_size=1, max_size=3),
     st.floats(0.0, 1.0),
+    st.sampled_from([0.0, 0.6]),
 )
-@settings(PROPERTY, max_examples=60)
-def test_hazard_fields_keep_routes_open_and_clearance(seed, routes, clear):
-    hazards, tiles, behind = place([field(BLOCK, 80, clear=clear)], routes, a_key(seed))
+@settings(PROPERTY, max_examples=80)
+def test_hazard_fields_keep_routes_open_and_clearance(seed, routes, clear, kept):
+    fields = [field(BLOCK, 80, clear=clear, kept=kept)]
+    hazards, tiles, behind = place(fields, routes, a_key(seed))
     assert is_open(tiles, routes)
+    assert is_open(enlarged(hazards[:behind], kept), routes)
     assert (hazards["kind"] == np.where(np.arange(80) < behind, BLOCK, 0)).all()
     for point in itertools.chain(*routes):
         away = np.hypot(hazards["x"] - point[0], hazards["y"] - point[1]) - hazards["radius"]

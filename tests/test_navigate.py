@@ -291,6 +291,17 @@ def test_cautious_ugv_enters_no_unknown_tile_under_attack(cautious) -> None:
     assert sum(one.way > 0.0 for one in flights) > 40
 
 
+def test_a_ugv_keeps_its_distance_from_unknown_ground_under_attack(cautious) -> None:
+    """The long version with 10,000 runs: `python benchmarks/cautious_attacks.py clearance`."""
+    trials = [cautious.draw_distant_trial(seed) for seed in range(100)]
+    flights = [cautious.fly(one, seed, lossy=True) for seed, one in enumerate(trials)]
+    assert sum(one.entered + one.near + one.broken for one in flights) == 0
+    assert sum(one.way > 0.0 for one in flights) > 30
+    kept = [max(0.0, one.clearance - one.parameters.tile) for one in trials]
+    nearer = (cautious.fly(one, k, kept=kept[k]).near for k, one in enumerate(trials))
+    assert any(nearer)
+
+
 @pytest.mark.parametrize("name", ["too short", "some points", "straight", "before the command"])
 def test_a_wrong_filter_is_caught(cautious: ModuleType, name: str) -> None:
     check = next(check for about, check in cautious.BROKEN.items() if name in about)

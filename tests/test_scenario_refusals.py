@@ -156,6 +156,8 @@ building_fields_are_possible | uav.0.initial_altitude=14 & building_field=[{bloc
 | building_field.0.street = 1.0 | 1.5 m or more
 building_fields_are_possible | uav.0.initial_altitude=14 & ugv.0.building_clearance=1.5
 & building_field=[{block=[4,5],street=4,height=[3,4]}] | building_field.0.street = 4.0 | 4.5 m or more
+building_fields_are_possible | uav.0.initial_altitude=14 & ugv.0.building_clearance=1.5 & buildings.known=false
+& building_field=[{block=[4,5],street=5.9,height=[3,4]}] | building_field.0.street = 5.9 | 6 m or more
 building_fields_are_possible | uav.0.initial_altitude=14 & building_field=[{block=[33,40],street=4,height=[3,4]}]
 | building_field.0.block = [33.0, 40.0] | fit with two streets into 40 m
 building_fields_are_possible | uav.0.initial_altitude=14 & ground.tile=0.25

@@ -1,10 +1,15 @@
 """A house, a UGV that passes it, and the buildings of random towns, for the tests of buildings."""
 
+import math
 from typing import Any
+
+import numpy as np
+from scipy.ndimage import binary_dilation
 
 from bus.messages.buildings import Building
 from sim.engine.run_keys import derive_keys
-from sim.models.hazards import distance_to_hazard
+from sim.models.ground import UNSEEN
+from sim.models.hazards import BLOCK, distance_to_hazard
 from sim.models.randomness import BUILDING_FIELDS
 from sim.scenario.building_tables import run_buildings
 from sim.scenario.checks import check_scenario
@@ -14,7 +19,11 @@ from sim.scenario.types import Scenario, Ugv
 HOUSE = Building(polygon=((10.0, 10.0), (14.0, 10.0), (14.0, 14.0), (10.0, 14.0)), height=5.0)
 PASSING = Ugv(position=(7.0, 8.8), goals=((17.0, 8.8),), building_clearance=1.5)
 """A UGV whose straight path to its goal leads past the house in 1.2 m."""
-UNKNOWN_MAP = {"buildings.known": False}
+UNKNOWN_MAP = {
+    "buildings.known": False,
+    "ugv.0.building_clearance": 1.0,
+    "ground.sensing_range": 2.0,
+}
 
 
 def scenario(ugv: Ugv = PASSING, **fields: Any) -> Scenario:
@@ -31,3 +40,17 @@ def drawn(one: Scenario, seed: int, secret: str = "") -> tuple[Building, ...]:
 def distances(buildings: tuple[Building, ...], x: float, y: float) -> list[float]:
     rows, corners = building_rows(buildings, first=0), corners_of(buildings)
     return [distance_to_hazard(rows, corners, k, x, y) for k in range(len(rows))]
+
+
+def as_reported(tiles: np.ndarray, clearance: float) -> np.ndarray:
+    """Block the tiles with a blocked tile within the clearance, in sides of a tile; then close those near unseen ones.
+
+    By dilation, unlike the code of the UGV.
+    """
+    reach = math.floor(clearance) + 1 if clearance > 0.0 else 0
+    away = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 1, 0)
+    near = np.hypot(away[:, None], away[None, :]) <= clearance
+    found = tiles.copy()
+    for state in (UNSEEN, BLOCK):
+        found[binary_dilation(tiles == state, near)] = state
+    return found

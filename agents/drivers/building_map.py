@@ -29,3 +29,4 @@ def map_buildings(memory: OccupancyGrid, briefing: UgvBriefing) -> None:
         corners = np.array(building.corners, dtype=np.float64)
         add_polygon(corners, ground.building_clearance, BLOCK, ground.tile, memory.tiles)
     memory.measured[memory.tiles == BLOCK] = MAPPED
+    memory.reported[...] = memory.tiles

@@ -34,6 +34,7 @@ from bus.ticks import first_tick_from, look_rows, looks_of
 from sim.compiling.compile import FloatArray
 from sim.compiling.records import fresh, records, struct_of
 from sim.models.ground import CERTIFIED, NO_CLAIM, UNCERTIFIED, tile_index, tile_states, tiles_shape
+from sim.models.hazards import TOUCH
 from sim.models.motion import NO_MOTION
 from sim.models.randomness import words_of
 from sim.models.vehicles import Motion
@@ -93,7 +94,12 @@ def briefed_grid(briefing: UgvBriefing) -> OccupancyGrid:
             f"ground.tile = {ground.tile:g}: divides the area into {shape[0] * shape[1]:.3g} tiles; "
             f"allowed: at most {MOST_TILES:,}"
         )
-    memory = occupancy_grid(*shape, first_tick_from(ground.delay, briefing.dt))
+    kept = ground.tile_clearance
+    memory = occupancy_grid(
+        *shape,
+        first_tick_from(ground.delay, briefing.dt),
+        clearance=(kept + TOUCH) / ground.tile if kept > 0.0 else -1.0,
+    )
     map_buildings(memory, briefing)
     return memory
 

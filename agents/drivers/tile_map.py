@@ -1,8 +1,12 @@
 """Occupancy grid of a UGV: tiles reported by its own sensor and by radio, and its plan on them.
 
 Tile (row i, column j) of the size s is [j s, (j + 1) s] x [i s, (i + 1) s], edges included.
+
+A UGV that keeps a distance c from unknown buildings plans on its reports, enlarged by c: a tile is blocked if a tile
+within c of it was reported as blocked, and unseen if one within c was not reported yet.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -48,13 +52,17 @@ class GridFlags(NamedTuple):
     """Claim of the newest tick: a constant of `sim.models.ground`."""
     settled: float = np.inf
     """Cost up to which the costs of a completed search are final; infinite: all are."""
+    clearance: float = -1.0
+    """Distance to keep from every tile that is not known to be drivable, in sides of a tile; -1: none."""
 
 
 class OccupancyGrid(NamedTuple):
     """Occupancy grid of a UGV, from `occupancy_grid`. All arrays are changed in place."""
 
     tiles: TileArray
-    """States of the tiles. Shape (rows, columns)."""
+    """States to plan on: the reported ones, enlarged by the clearance. Shape (rows, columns)."""
+    reported: TileArray
+    """Reported states. Shape (rows, columns)."""
     measured: TileArray
     """`MEASURED` or `MAPPED` if the state has this source; else 0. Shape (rows, columns)."""
     snapshot: TileArray
@@ -80,16 +88,20 @@ class OccupancyGrid(NamedTuple):
     """`GridFlags`. Shape (1,)."""
 
 
-def occupancy_grid(rows: int, columns: int, delay: int = 0) -> OccupancyGrid:
+def occupancy_grid(
+    rows: int, columns: int, delay: int = 0, clearance: float = -1.0
+) -> OccupancyGrid:
     """Return an empty occupancy grid: no tile is known.
 
     Args:
         rows, columns: Size of the grid; (0, 0) for a driver that knows no ground.
         delay: Delay after which a sent command takes effect [ticks].
+        clearance: See `GridFlags`.
     """
     size = rows * columns
     return OccupancyGrid(
         tiles=np.full((rows, columns), UNSEEN, dtype=np.uint8),
+        reported=np.full((rows, columns), UNSEEN, dtype=np.uint8),
         measured=np.zeros((rows, columns), dtype=np.uint8),
         snapshot=np.full(size, UNSEEN, dtype=np.uint8),
         path=np.full(size, UNSEEN, dtype=np.uint8),
@@ -98,15 +110,49 @@ def occupancy_grid(rows: int, columns: int, delay: int = 0) -> OccupancyGrid:
         place=np.full(size, _NEVER, dtype=np.int32),
         sent=no_motions(delay + 2),
         committed=no_motions(1),
-        flags=records(GridFlags, [GridFlags()]),
+        flags=records(GridFlags, [GridFlags(clearance=clearance)]),
     )
 
 
 @compiled
+def _is_near(clearance: float, d_row: int, d_column: int) -> bool:
+    """Return whether two tiles have points within the clearance."""
+    rows, columns = max(abs(d_row) - 1.0, 0.0), max(abs(d_column) - 1.0, 0.0)
+    same = d_row == 0 and d_column == 0
+    return same or (clearance >= 0.0 and rows * rows + columns * columns <= clearance * clearance)
+
+
+@compiled
+def _enlarged(memory: OccupancyGrid, row: int, column: int) -> int:
+    """Return the state of a tile to plan on."""
+    clearance, state = memory.flags[0].clearance, memory.reported[row, column]
+    height, width = memory.reported.shape
+    reach = math.floor(clearance) + 1
+    for i in range(max(row - reach, 0), min(row + reach + 1, height)):
+        for j in range(max(column - reach, 0), min(column + reach + 1, width)):
+            near = memory.reported[i, j]
+            if near in (UNSEEN, BLOCK) and _is_near(clearance, i - row, j - column):
+                if near == BLOCK:
+                    return BLOCK
+                state = UNSEEN
+    return int(state)
+
+
+@compiled
 def _set_tile(memory: OccupancyGrid, row: int, column: int, state: int) -> None:
-    if memory.tiles[row, column] != state:
-        memory.tiles[row, column] = state
-        memory.flags[0].stale = 1
+    """Store a reported state, and update the tiles near it."""
+    if memory.reported[row, column] == state:
+        return
+    memory.reported[row, column] = state
+    clearance, (height, width) = memory.flags[0].clearance, memory.reported.shape
+    reach = math.floor(clearance) + 1
+    for i in range(max(row - reach, 0), min(row + reach + 1, height)):
+        for j in range(max(column - reach, 0), min(column + reach + 1, width)):
+            if _is_near(clearance, i - row, j - column):
+                enlarged = _enlarged(memory, i, j)
+                if memory.tiles[i, j] != enlarged:
+                    memory.tiles[i, j] = enlarged
+                    memory.flags[0].stale = 1
 
 
 @compiled
@@ -152,5 +198,5 @@ def record_block(
         j = block_column * BLOCK_SIDE + k % BLOCK_SIDE
         if i < 0 or i >= height or j < 0 or j >= width or states[k] == UNSEEN:
             continue
-        if memory.measured[i, j] == 0 and memory.tiles[i, j] != BLOCK:
+        if memory.measured[i, j] == 0 and memory.reported[i, j] != BLOCK:
             _set_tile(memory, i, j, states[k])

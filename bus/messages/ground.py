@@ -69,6 +69,8 @@ class UgvGround(Message, frozen=True, kw_only=True):
     """Time from the tick that a command answers to its effect [s]."""
     building_clearance: NonNegative = 0.0
     """Smallest distance from every known building that it declares to keep [m]; 0: none."""
+    tile_clearance: NonNegative = 0.0
+    """The same from every tile that it does not know to be drivable, where an unknown building may be [m]."""
     only_buildings: bool = False
     """True if the map of buildings is complete: there are no other hazards."""
     rough_speed_share: Annotated[float, Meta(gt=0.0, le=1.0)]

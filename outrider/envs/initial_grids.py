@@ -19,8 +19,15 @@ def grids_of(grids: Sequence[OccupancyGrid], worlds: int) -> OccupancyGrid:
     longest = max(grids, key=lambda memory: len(memory.sent))
     memories = repeated(longest, worlds, len(grids))
     for n, memory in enumerate(grids):
-        memories.tiles[:, n], memories.measured[:, n] = memory.tiles, memory.measured
+        _enter(memories, (slice(None), n), memory)
     return memories
+
+
+def _enter(grids: OccupancyGrid, place: tuple[slice | int, int], memory: OccupancyGrid) -> None:
+    """Copy the initial tiles of a UGV."""
+    grids.tiles[place], grids.reported[place] = memory.tiles, memory.reported
+    grids.measured[place] = memory.measured
+    grids.flags[place] = memory.flags
 
 
 def map_random_buildings(
@@ -38,4 +45,4 @@ def map_random_buildings(
     for world, seed in runs:
         for n, name in enumerate(names):
             memory = briefed_grid(ugv_briefing(scenario, name, int(seed), secret))
-            grids.tiles[world, n], grids.measured[world, n] = memory.tiles, memory.measured
+            _enter(grids, (world, n), memory)

@@ -37,6 +37,7 @@ def _no_grid(grids: None, late: int, world: int, ugv: int) -> None:
 def _grid_of(grids: OccupancyGrid, late: int, world: int, ugv: int) -> OccupancyGrid:
     return OccupancyGrid(
         grids.tiles[world, ugv],
+        grids.reported[world, ugv],
         grids.measured[world, ugv],
         grids.snapshot[world, ugv],
         grids.path[world, ugv],

@@ -4,6 +4,7 @@ import math
 
 from agents.safety.levels import bounds_at, least_altitude, lowest_certified, radius_at
 from bus.messages.vehicle import UavBriefing
+from sim.scenario.clearance import clearance_fault
 from sim.scenario.types import Scenario, Uav
 
 
@@ -48,11 +49,10 @@ def altitude_fault(scenario: Scenario, uav: Uav, briefing: UavBriefing) -> str:
     """
     if briefing.altitude is None:
         return ""
-    if briefing.max_building_height is not None and briefing.building_clearance == 0.0:
-        return (
-            f"{uav.escorts} guarantees no distance from buildings, which may hide it: set its building_clearance, "
-            "with the driver navigate, caution cautious and buildings.known = true"
-        )
+    (escorted,) = (ugv for ugv in scenario.ugv if ugv.name == uav.escorts)
+    fault = clearance_fault(scenario, escorted)
+    if briefing.max_building_height is not None and fault:
+        return f"{uav.escorts} guarantees no distance from buildings, which may hide it: {fault}"
     lowest = lowest_certified(briefing)
     if lowest is None:
         highest = briefing.altitude.max_altitude

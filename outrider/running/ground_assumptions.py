@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from bus.registry import CAUTIONS
 from sim.models.ground import span
 from sim.models.hazards import BLOCK, TOUCH
+from sim.scenario.clearance import report_faults
 from sim.scenario.ground_tables import ground_tables
 from sim.scenario.types import Scenario, Ugv
 
@@ -23,7 +24,8 @@ def ground_warnings(scenario: Scenario) -> Iterator[str]:
         return
     for k, ugv in enumerate(scenario.ugv):
         if ugv.driver == "navigate" and ugv.caution == _CAUTIOUS:
-            for reason in (*_start_faults(scenario, k, ugv), *_report_faults(scenario, ugv)):
+            reports = () if scenario.only_known_buildings else report_faults(scenario, ugv)
+            for reason in (*_start_faults(scenario, k, ugv), *reports):
                 yield f"{ugv.name}: not certified to stay on known tiles: {reason}; see {GUIDE}"
 
 
@@ -40,21 +42,3 @@ def _start_faults(scenario: Scenario, k: int, ugv: Ugv) -> Iterator[str]:
     ]
     if (around == BLOCK).any():
         yield f"ugv.{k}.position = {list(ugv.position)}: the UGV touches a blocked tile; move it"
-
-
-def _report_faults(scenario: Scenario, ugv: Ugv) -> Iterator[str]:
-    """Yield the faults of tile reports: no blocked tile may be reported drivable, and no two reports may differ.
-
-    A UGV with a complete map needs no reports.
-    """
-    if scenario.only_known_buildings:
-        return
-    ground = scenario.ground
-    escorts = [uav for uav in scenario.uav if uav.escorts == ugv.name]
-    if escorts and ground.miss > 0.0:
-        yield f"ground.miss = {ground.miss:g}: a tile with a hazard may be reported clear; allowed: 0"
-    if len(escorts) > 1 and ground.false_alarm > 0.0:
-        yield (
-            f"ground.false_alarm = {ground.false_alarm:g}: the reports of {len(escorts)} UAVs may contradict each "
-            "other; allowed: one UAV, or 0"
-        )

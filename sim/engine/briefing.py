@@ -10,7 +10,6 @@ from bus.messages.ground import UavGround, UgvGround
 from bus.messages.links import LinkKind
 from bus.messages.scenario import Detector, Limits, SafetyParameters
 from bus.messages.vehicle import Briefing, UavBriefing, UgvBriefing
-from bus.registry import CAUTIONS
 from sim.channel.description import longest_delay
 from sim.engine.run_keys import derive_key
 from sim.models.camera import noise_at
@@ -18,6 +17,7 @@ from sim.models.inner_loop import tracking_error
 from sim.models.randomness import BUILDING_FIELDS, PILOT, words_of
 from sim.models.safety import SafetyBounds, safety_bounds
 from sim.scenario.building_tables import max_building_height, run_buildings
+from sim.scenario.clearance import guaranteed_clearance
 from sim.scenario.types import DEFAULT_AGE, Scenario, Uav, Ugv, altitude_limits
 
 
@@ -51,15 +51,6 @@ def detector_noise(scenario: Scenario, uav: Uav) -> float:
         return noise
     reference = scenario.camera.reference_altitude
     return float(noise_at(noise, reference, 0.0, limits.initial_altitude))
-
-
-def guaranteed_clearance(scenario: Scenario, ugv: Ugv) -> float:
-    """Return the distance from every building that a UGV guarantees to keep [m]; 0: none.
-
-    The cautious driver `navigate` keeps it if it knows the buildings; no other driver guarantees any.
-    """
-    cautious = ugv.driver == "navigate" and ugv.caution == CAUTIONS[0]
-    return ugv.building_clearance if cautious and scenario.buildings.known else 0.0
 
 
 def clearance_notice(scenario: Scenario, name: str, driver: str) -> str:
@@ -207,7 +198,8 @@ def ugv_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
             caution=ugv.caution,
             rough_speed_share=scenario.rough_share,
             delay=ugv_delay(scenario, name),
-            building_clearance=ugv.building_clearance,
+            building_clearance=ugv.building_clearance if scenario.buildings.known else 0.0,
+            tile_clearance=0.0 if scenario.buildings.known else ugv.building_clearance,
             only_buildings=scenario.only_known_buildings,
             executes_trajectories=ugv_carries(scenario, ugv),
         )

@@ -46,6 +46,8 @@ class HazardFieldRow(NamedTuple):
     """Share of its maximum speed that a vehicle keeps; see `sim.models.hazards.HazardRow`."""
     clear: float
     """Smallest distance of its discs from all stops [m]."""
+    kept: float
+    """Distance from its discs at which routes stay open [m]; 0 unless they block."""
 
 
 def work_array(rows: int, columns: int) -> IntArray:
@@ -249,7 +251,7 @@ def place_hazards(
         key: Key of the random numbers.
         hazards: Table of `HazardRow`, with capacity for all; changed.
         first: First row to fill. Unused rows are empty.
-        tiles: True states with the hazards of earlier rows; changed.
+        tiles: True states with the hazards of earlier rows, enlarged by `kept`; changed.
         work: A `work_array`; changed.
 
     Returns:
@@ -264,11 +266,12 @@ def place_hazards(
         while behind < last and misses < MOST_MISSES:
             attempt, misses = attempt + 1, misses + 1
             x, y, radius = _drawn(fields, f, attempt, area, key)
-            if not _fits(fields, f, (x, y, radius), stops, tile, tiles):
+            reach = radius + field["kept"]
+            if not _fits(fields, f, (x, y, reach), stops, tile, tiles):
                 continue
-            if kind == BLOCK and not _block_disc(x, y, radius, tile, ways, tiles, work):
+            if kind == BLOCK and not _block_disc(x, y, reach, tile, ways, tiles, work):
                 continue
-            add_disc(x, y, radius, kind, tile, tiles)
+            add_disc(x, y, reach, kind, tile, tiles)
             row = hazards[behind]
             row["kind"], row["share"] = kind, field["share"]
             row["x"], row["y"], row["radius"], row["reach"] = x, y, radius, radius

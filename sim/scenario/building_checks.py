@@ -6,10 +6,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from bus.messages.buildings import MOST_BUILDINGS, AltitudeLimits
-from bus.registry import ALTITUDE_LAWS, CAUTIONS
+from bus.registry import ALTITUDE_LAWS
 from sim.input.faults import Fault, unknown_name
 from sim.models.hazards import BLOCK, hazard_at
-from sim.scenario.building_tables import highest_building, least_distance, most_buildings
+from sim.scenario.building_tables import highest_building, most_buildings
+from sim.scenario.clearance import clearance_fault, least_distance, tile_clearance
 from sim.scenario.ground_tables import building_rows, corners_of
 from sim.scenario.polygon_checks import first_contact, polygon_faults
 from sim.scenario.stops import all_stops
@@ -103,7 +104,10 @@ def building_fields_are_possible(scenario: Scenario) -> Iterator[Fault]:
                 yield Fault(f"{path}.{name}", value, "out of order", "[smallest, largest] in m")
         if field.street < 2.0 * least:
             wrong = "too narrow: its tiles between two buildings may all be closed"
-            allowed = f"{2.0 * least:g} m or more: 2 building_clearance + 3 ground.tile"
+            needed = "2 building_clearance + 3 ground.tile"
+            if tile_clearance(scenario) > 0.0:
+                needed = "2 building_clearance + 6 ground.tile, as the buildings are unknown"
+            allowed = f"{2.0 * least:g} m or more: {needed}"
             yield Fault(f"{path}.street", field.street, wrong, allowed)
         most = most_buildings(scenario, field)
         count += most
@@ -174,16 +178,20 @@ def building_bounds_agree(scenario: Scenario) -> Iterator[Fault]:
 
 
 def building_warnings(scenario: Scenario) -> Iterator[str]:
-    """Warn of a clearance that a UGV declares but does not keep by itself."""
+    """Warn of a clearance that a UGV does not keep by itself, or that may keep it from its goals."""
     if not scenario.has_buildings:
         return
+    tile, sensing = scenario.ground.tile, scenario.ground.sensing_range
+    needed = scenario.building_clearance + 2.0 * tile
+    if tile_clearance(scenario) > 0.0 and sensing < needed:
+        yield (
+            f"ground.sensing_range = {sensing:g} m: a UGV may wait forever beside an unknown building, as no UAV sees "
+            f"the ground under it; {needed:g} m (building_clearance + 2 ground.tile) lets it sense the building itself"
+        )
     for k, ugv in enumerate(scenario.ugv):
-        kept = ugv.driver == "navigate" and ugv.caution == CAUTIONS[0] and scenario.buildings.known
-        if ugv.building_clearance > 0.0 and not kept:
-            yield (
-                f"ugv.{k}.building_clearance = {ugv.building_clearance:g}: not ensured: "
-                'requires driver = "navigate", caution = "cautious" and buildings.known = true'
-            )
+        fault = clearance_fault(scenario, ugv)
+        if ugv.building_clearance > 0.0 and fault:
+            yield f"ugv.{k}.building_clearance = {ugv.building_clearance:g}: not ensured: {fault}"
 
 
 BUILDING_CHECKS: tuple[Check, ...] = (

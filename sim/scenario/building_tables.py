@@ -9,17 +9,10 @@ from bus.registry import HAZARDS
 from sim.compiling.compile import FloatArray
 from sim.models.building_fields import Block, BlockLayout, draw_blocks, most_blocks
 from sim.models.randomness import Key
+from sim.scenario.clearance import least_distance
 from sim.scenario.ground_types import BuildingField
 from sim.scenario.stops import stops
 from sim.scenario.types import Scenario
-
-TILES_TO_STOP = 1.5
-"""Tiles between the clearance of a building and a free point: more than the diagonal of a tile."""
-
-
-def least_distance(scenario: Scenario) -> float:
-    """Return the distance of a building from a point whose tile is outside its clearance, whatever the tile [m]."""
-    return scenario.building_clearance + TILES_TO_STOP * scenario.ground.tile
 
 
 def block_layout(field: BuildingField) -> BlockLayout:

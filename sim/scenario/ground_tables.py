@@ -16,6 +16,7 @@ from sim.compiling.records import RecordArray, records
 from sim.models.ground import (
     CLEAR,
     TileArray,
+    add_disc,
     add_polygon,
     fill_tiles,
     tile_index,
@@ -25,6 +26,7 @@ from sim.models.hazard_fields import HazardFieldRow, place_hazards, work_array
 from sim.models.hazards import BLOCK, HazardRow
 from sim.models.randomness import Key
 from sim.scenario.building_tables import building_rooms
+from sim.scenario.clearance import tile_clearance
 from sim.scenario.ground_types import HazardField
 from sim.scenario.stops import stops
 from sim.scenario.types import Scenario
@@ -49,8 +51,9 @@ class GroundTables(NamedTuple):
     tiles: TileArray
     """True states with the given hazards and buildings. Shape (rows, columns)."""
     closed: TileArray
-    """States with the buildings enlarged by the largest `building_clearance`: ways lead around them. The same array as
-    `tiles` if nothing is enlarged. Shape (rows, columns).
+    """States with the buildings enlarged by the largest `building_clearance`, and with all that blocks enlarged by
+    `tile_clearance` if the buildings are unknown: ways lead around them. The same array as `tiles` if nothing is
+    enlarged. Shape (rows, columns).
     """
     fields: RecordArray
     """Table of `HazardFieldRow`."""
@@ -88,7 +91,9 @@ def ground_tables(scenario: Scenario) -> GroundTables:
         corners,
         tiles,
         closed=tiles,
-        fields=records(HazardFieldRow, [_field_row(field) for field in scenario.hazard_field]),
+        fields=records(
+            HazardFieldRow, [_field_row(scenario, one) for one in scenario.hazard_field]
+        ),
         stops=np.array(points, dtype=np.float64),
         ways=_ways(scenario, *tiles.shape),
     )
@@ -119,17 +124,19 @@ def _closed_tiles(
     scenario: Scenario, tables: GroundTables, buildings: tuple[Building, ...]
 ) -> TileArray:
     """Return the tiles with these buildings enlarged by the largest clearance."""
-    if not buildings or scenario.building_clearance == 0.0:
+    kept, tile = tile_clearance(scenario), scenario.ground.tile
+    if kept == 0.0 and (not buildings or scenario.building_clearance == 0.0):
         return tables.tiles
-    closed = tables.tiles.copy()
+    closed, reach = tables.tiles.copy(), kept or scenario.building_clearance
     for building in buildings:
-        add_polygon(
-            np.array(building.corners),
-            scenario.building_clearance,
-            BLOCK,
-            scenario.ground.tile,
-            closed,
-        )
+        add_polygon(np.array(building.corners), reach, BLOCK, tile, closed)
+    for hazard in scenario.hazard:
+        if kept > 0.0 and not HAZARDS[hazard.kind].drivable:
+            if hazard.corners:
+                add_polygon(np.array(hazard.corners), kept, BLOCK, tile, closed)
+            else:
+                x, y = hazard.middle
+                add_disc(x, y, (hazard.radius or 0.0) + kept, BLOCK, tile, closed)
     return closed
 
 
@@ -186,10 +193,16 @@ def place_fields(scenario: Scenario, tables: GroundTables, key: Key) -> int:
     return behind
 
 
-def _field_row(field: HazardField) -> HazardFieldRow:
+def _field_row(scenario: Scenario, field: HazardField) -> HazardFieldRow:
     kind, (smallest, largest) = HAZARDS[field.kind].code, field.radius
     return HazardFieldRow(
-        kind, field.count, smallest, largest, share=field.kept_share, clear=field.clearance
+        kind,
+        field.count,
+        smallest,
+        largest,
+        share=field.kept_share,
+        clear=field.clearance,
+        kept=0.0 if HAZARDS[field.kind].drivable else tile_clearance(scenario),
     )
 
 

@@ -78,7 +78,7 @@ class BuildingField(Table, frozen=True, kw_only=True):
     """Share of the blocks that are built; the others stay free."""
     clearance: NonNegative = 1.0
     """Smallest distance from all UAVs' starts, and from all UGVs' starts and goals [m]. A block that is closer stays
-    free. At least 1.5 tiles more than the largest `building_clearance`.
+    free. At least 1.5 tiles more than the largest `building_clearance`; 3 tiles if the buildings are unknown.
     """
 
 

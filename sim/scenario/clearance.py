@@ -1,0 +1,59 @@
+"""Distance that UGVs keep from buildings, and what prevents it."""
+
+from collections.abc import Iterator
+
+from bus.registry import CAUTIONS
+from sim.scenario.types import Scenario, Ugv
+
+_TILES_TO_STOP = 1.5
+"""Tiles between the clearance of a building and a free point, or tile: more than the diagonal of a tile."""
+
+
+def guaranteed_clearance(scenario: Scenario, ugv: Ugv) -> float:
+    """Return the distance from every building that a UGV guarantees to keep [m]; 0: none."""
+    return 0.0 if clearance_fault(scenario, ugv) else ugv.building_clearance
+
+
+def clearance_fault(scenario: Scenario, ugv: Ugv) -> str:
+    """Return why a UGV guarantees no distance from buildings; empty if it does.
+
+    The cautious driver `navigate` keeps it from known buildings. From unknown ones it does so if the UAVs' reports open
+    no wrong tile.
+    """
+    if ugv.driver != "navigate" or ugv.caution != CAUTIONS[0]:
+        return f'requires driver = "navigate" and caution = "{CAUTIONS[0]}"'
+    if ugv.velocity != (0.0, 0.0):
+        return "the UGV starts moving"
+    if ugv.building_clearance == 0.0:
+        return "building_clearance = 0"
+    return "" if scenario.buildings.known else next(report_faults(scenario, ugv), "")
+
+
+def report_faults(scenario: Scenario, ugv: Ugv) -> Iterator[str]:
+    """Yield the faults of tile reports: no blocked tile may be reported drivable, and no two reports may differ."""
+    ground = scenario.ground
+    escorts = [uav for uav in scenario.uav if uav.escorts == ugv.name]
+    if escorts and ground.miss > 0.0:
+        yield f"ground.miss = {ground.miss:g}: a tile with a hazard may be reported clear; allowed: 0"
+    if len(escorts) > 1 and ground.false_alarm > 0.0:
+        yield (
+            f"ground.false_alarm = {ground.false_alarm:g}: the reports of {len(escorts)} UAVs may contradict each "
+            "other; allowed: one UAV, or 0"
+        )
+
+
+def tile_clearance(scenario: Scenario) -> float:
+    """Return by how much all that blocks is enlarged where UGVs keep a distance from unknown buildings [m].
+
+    They keep it from every tile that is not known to be drivable, thus up to a tile's diagonal farther than declared.
+    """
+    kept = scenario.building_clearance
+    if scenario.buildings.known or not scenario.has_buildings or kept == 0.0:
+        return 0.0
+    return kept + _TILES_TO_STOP * scenario.ground.tile
+
+
+def least_distance(scenario: Scenario) -> float:
+    """Return the distance of a building from a point whose tile is outside its clearance, whatever the tile [m]."""
+    enlarged = max(scenario.building_clearance, tile_clearance(scenario))
+    return enlarged + _TILES_TO_STOP * scenario.ground.tile
