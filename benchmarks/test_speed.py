@@ -27,6 +27,7 @@ from sim.engine.batch import Batch
 from sim.models.field import accumulate, coverage_error, coverage_gradient
 from sim.models.sensor import SensorParameters
 from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 from sim.world import World
 
 WORLDS = 1024
@@ -146,21 +147,61 @@ def test_env_step(benchmark: Any, side: Callable[[], Work]) -> None:
     time_steps(benchmark, side())
 
 
-@contextmanager
-def _batch_step(width: float, ground: str) -> Iterator[tuple[Callable[[], object], int]]:
-    """A UAV at 14 m above a UGV that drives from the corner of a square area, on this ground."""
+# Buildings
+
+_HAZARD = 'hazard=[{kind="block", center=[39.0, 1.0], radius=0.3}]'
+_EPISODE = 400
+"""Ticks until a world starts again."""
+
+
+def _blocks() -> str:
+    """Return 30 blocks with sides of 4 m to 6 m and heights of 3 m to 8 m, evenly over an area of 40 m x 40 m."""
+    rng, blocks = np.random.default_rng(0), []
+    for k in range(30):
+        x, y = 1.5 + 7.6 * (k % 5), 1.5 + 6.4 * (k // 5)
+        across, deep, height = rng.uniform((4.0, 4.0, 3.0), (6.0, 5.0, 8.0)).round(1).tolist()
+        right, top = x + across, y + deep
+        corners = f"[[{x}, {y}], [{right}, {y}], [{right}, {top}], [{x}, {top}]]"
+        blocks.append(f"{{polygon={corners}, height={height}}}")
+    return f"building=[{', '.join(blocks)}]"
+
+
+def _among(ground: str) -> Scenario:
+    """Return a scenario with a UAV at 14 m above a UGV that drives from a corner of the area, on this ground."""
     changes = ["building_field=[]", 'ugv.0.driver="waypoints"', "ugv.0.building_clearance=0"]
     start = ["ugv.0.position=[0.7, 0.7]", "ugv.0.goals=[]"]
-    size = [f"area.width={width}", f"area.height={width}"]
-    scenario = load_scenario("town", overrides=[*changes, *start, *size, ground])
-    batch = Batch(scenario, _PART, threads=1)
+    return load_scenario("town", overrides=[*changes, *start, ground])
+
+
+@contextmanager
+def step_in_world(ground: str) -> Iterator[tuple[Callable[[], object], int]]:
+    """Yield one `World.step` with detections and e(t) (4) on this ground."""
+    scenario = _among(ground)
+    accelerations = np.random.default_rng(1).uniform(-0.3, 0.3, (64, 2, 2))
+    world = World(scenario, 1)
+
+    def step() -> None:
+        nonlocal world
+        if world.tick == _EPISODE:
+            world = World(scenario, 1)
+        world.step(accelerations[world.tick % 64])
+        world.received(0)
+        world.measure()
+
+    yield step, 1
+
+
+@contextmanager
+def step_in_batch(ground: str) -> Iterator[tuple[Callable[[], object], int]]:
+    """Yield one step of many worlds on this ground, with commands and links."""
+    batch = Batch(_among(ground), _PART, threads=1)
     batch.begin(list(range(_PART)))
     accelerations = np.random.default_rng(1).uniform(-0.3, 0.3, (64, _PART, 2, 2))
     taken = 0
 
     def step() -> None:
         nonlocal taken
-        if taken % 400 == 0:
+        if taken % _EPISODE == 0:
             batch.begin(list(range(_PART)))
         vehicles = batch.state.vehicles
         vehicles["outgoing"] = accelerations[taken % 64]
@@ -171,36 +212,15 @@ def _batch_step(width: float, ground: str) -> Iterator[tuple[Callable[[], object
     yield step, _PART
 
 
-def _blocks(width: float) -> str:
-    """Return 30 blocks with sides of 4 m to 6 m and heights of 3 m to 8 m, evenly over a square area."""
-    rng, blocks = np.random.default_rng(0), []
-    for k in range(30):
-        x, y = 1.5 + 0.19 * width * (k % 5), 1.5 + 0.16 * width * (k // 5)
-        across, deep, height = rng.uniform((4.0, 4.0, 3.0), (6.0, 5.0, 8.0)).round(1).tolist()
-        right, top = x + across, y + deep
-        corners = f"[[{x}, {y}], [{right}, {y}], [{right}, {top}], [{x}, {top}]]"
-        blocks.append(f"{{polygon={corners}, height={height}}}")
-    return f"building=[{', '.join(blocks)}]"
-
-
-_HAZARD = 'hazard=[{kind="block", center=[39.0, 1.0], radius=0.3}]'
-
-
-def step_beside_blocks(width: float) -> pytest.MarkDecorator:
-    """Compare the world step among 30 blocks on an area of this width with that beside one hazard instead."""
-    sides = (partial(_batch_step, width, ground) for ground in (_blocks(width), _HAZARD))
-    return beside(*sides)
-
-
-@step_beside_blocks(90.0)
+@beside(partial(step_in_world, _blocks()), partial(step_in_world, _HAZARD))
 def test_buildings(benchmark: Any, side: Callable[[], Work]) -> None:
-    """A world step among 30 buildings, as close as in `town`, beside one with a hazard instead."""
+    """`World.step` among 30 buildings, of which four are in the UAV's range, beside one with a hazard instead."""
     time_steps(benchmark, side())
 
 
-@step_beside_blocks(40.0)
-def test_dense_buildings(benchmark: Any, side: Callable[[], Work]) -> None:
-    """The same on a fifth of the ground, with four buildings in the UAV's range."""
+@beside(partial(step_in_batch, _blocks()), partial(step_in_batch, _HAZARD))
+def test_batch_buildings(benchmark: Any, side: Callable[[], Work]) -> None:
+    """The same for the compiled step of a batch without pilots."""
     time_steps(benchmark, side())
 
 
