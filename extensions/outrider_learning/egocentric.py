@@ -5,7 +5,7 @@ from typing import Any, cast
 import numpy as np
 from gymnasium import spaces
 
-from bus.observations import GRADIENT, UAV, UGV, Entry, Table, bounds, by_name, names
+from bus.observations import ALTITUDE, GRADIENT, UAV, UGV, Entry, Table, bounds, by_name, names
 from outrider_learning.transformation import Mask, Transformation
 from sim.env.observation import AgentObservation, Array
 from sim.env.spaces import box
@@ -34,22 +34,28 @@ UGV_BODY: Table = (
 )
 """Row of a UGV in its own frame."""
 
-_BODY_OF = {len(UAV): (UAV, UAV_BODY), len(UGV): (UGV, UGV_BODY)}
-_BODY_OF[len(UAV + GRADIENT)] = (UAV + GRADIENT, UAV_BODY + GRADIENT)
+_FURTHER = ((), ALTITUDE, GRADIENT, ALTITUDE + GRADIENT)
+_BODY_OF = ((UGV, UGV_BODY), *((UAV + more, UAV_BODY + more) for more in _FURTHER))
+"""Rows in the world frame, and in the vehicle frame."""
+_NEEDED = "Egocentric needs the row of a UAV or a UGV, in SI units, not {} of shape {}"
 
 
-_NEEDED = (
-    "Egocentric needs the row of a UAV in the plane or of a UGV, in SI units, not {} of shape {}"
-)
+def _is_row(table: Table, space: spaces.Space[Any]) -> bool:
+    """Return whether a space holds the rows of a table, by its shape and the signs of its bounds."""
+    low = getattr(space, "low", None)
+    if low is None or low.shape != (len(table),):
+        return False
+    return bool(np.all((low < 0.0) == [entry.low.startswith("-") for entry in table]))
 
 
 class Egocentric(Transformation):
     """Vehicle frame: origin at the vehicle, x along its velocity, y to the left.
 
     Below the speed `rest` the vehicle keeps its last heading; an episode starts with heading east. Rows become
-    `UAV_BODY` or `UGV_BODY`, and the gradient that follows them is rotated. Actions are accelerations [m/s²] in this
-    frame, by the heading of the last observation. The coverage picture is rotated: columns ahead, rows to the left,
-    nearest sampling, 1 outside. The picture of the tiles is not rotated.
+    `UAV_BODY` or `UGV_BODY`. A gradient that follows them is rotated, altitude and climb rate are not. Actions are
+    accelerations [m/s²] in this frame, by the heading of the last observation; with an altitude, a vertical one
+    follows. The coverage picture is rotated: columns ahead, rows to the left, nearest sampling, 1 outside. The picture
+    of the tiles is not rotated.
 
     Args:
         rest: Speed below which the heading is frozen [m/s].
@@ -75,18 +81,18 @@ class Egocentric(Transformation):
         return self._row_space(space)
 
     def _row_space(self, space: spaces.Space[Any]) -> spaces.Box:
-        shape, low = space.shape or (0,), getattr(space, "low", None)
-        if len(shape) != 1 or shape[0] not in _BODY_OF or low is None or np.any(low[:3] != 0.0):
-            raise ValueError(_NEEDED.format(type(space).__name__, shape))
-        if np.any(low[len(UAV) :] == 0.0):  # an altitude instead of a gradient
-            raise ValueError(_NEEDED.format(type(space).__name__, shape))
-        self._table, self._body = _BODY_OF[shape[0]]
+        found = next((both for both in _BODY_OF if _is_row(both[0], space)), None)
+        if found is None:
+            raise ValueError(_NEEDED.format(type(space).__name__, space.shape))
+        self._table, self._body = found
+        self._axes = 3 if "altitude" in names(self._table) else 2
         old = cast("spaces.Box", space)
         high = by_name(self._table, old.high.astype(np.float64))
         self._centre = 0.5 * high["x"], 0.5 * high["y"]
         diagonal = float(np.hypot(high["x"], high["y"]))
         extent = {"T": high["time"], "v_max": high["vx"], "D": diagonal, "R": 0.5 * diagonal}
         extent["d_max"] = high.get("relative_x", diagonal)
+        extent |= {"z_max": high.get("altitude", 0.0), "w_max": high.get("climb_rate", 0.0)}
         self._box = box(*bounds(self._body, extent), cast("Any", old.dtype).type)
         return self._box
 
@@ -137,10 +143,10 @@ class Egocentric(Transformation):
     def action(self, action: Any) -> Any:  # noqa: ANN401 - see Transformation
         """Return the acceleration in the world frame; invalid actions pass unchanged."""
         body = np.asarray(action)
-        if body.shape != self._heading.shape or body.dtype.kind not in "fiu":
+        if body.shape != (len(self._heading), self._axes) or body.dtype.kind not in "fiu":
             return action
-        (ahead, left), (cosine, sine) = body.T.astype(np.float64), self._heading.T
-        return np.stack((cosine * ahead - sine * left, sine * ahead + cosine * left), axis=-1)
+        (ahead, left, *up), (cosine, sine) = body.T.astype(np.float64), self._heading.T
+        return np.stack((cosine * ahead - sine * left, sine * ahead + cosine * left, *up), axis=-1)
 
 
 def _turned_picture(picture: Array, heading: Array) -> Array:

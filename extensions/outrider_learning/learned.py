@@ -27,17 +27,19 @@ def check_made_for(name: str, value: float, made: float) -> None:
         raise ValueError(f"{name} = {value:g}: the policy was trained with {made:g}")
 
 
-def check_plane(briefing: UavBriefing) -> None:
-    """Check that a UAV flies in the plane, as in every training that can be saved.
+def check_altitude(briefing: UavBriefing, *, trained: bool) -> None:
+    """Check that a UAV has an altitude if, and only if, the policy was trained with one.
 
     Raises:
-        ValueError: If the UAV has an altitude.
+        ValueError: If only one of them has.
     """
-    if briefing.altitude is not None:
+    if briefing.altitude is not None and not trained:
         altitude = briefing.altitude.initial_altitude
         raise ValueError(
             f"initial_altitude = {altitude:g} m: the policy was trained in the plane; allowed: none"
         )
+    if briefing.altitude is None and trained:
+        raise ValueError("initial_altitude: missing; the policy was trained with an altitude")
 
 
 def make_view(recipe: Mapping[str, Any]) -> EscortView:
@@ -131,7 +133,7 @@ class LearnedPolicy:
         Raises:
             ValueError: If the tick length or the UAV's maximum speed differs, or the UAV has an altitude.
         """
-        check_plane(briefing)
+        check_altitude(briefing, trained=False)
         v_max = float(self.recipe["view"]["v_max"])
         check_made_for("dt", briefing.dt, self._dt)
         check_made_for("max_speed", briefing.limits.numbers[0], v_max)

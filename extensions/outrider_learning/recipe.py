@@ -40,13 +40,15 @@ A model repeats the effect of `VecTransposeImage` by itself.
 
 NEEDED = frozenset({"T", "W", "H", "v_max", "d_max", "D"})
 """Names of `bus.observations.SYMBOLS` that bound a UAV's observation."""
+HIGHER = frozenset({"z_max", "w_max"})
+"""Further ones for a UAV that has an altitude."""
 
 
 class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Recipe of a policy's observation."""
 
     extent: dict[str, float]
-    """Values of the names in `NEEDED` in the training environment."""
+    """Values of the names in `NEEDED` in the training environment, and of those in `HIGHER` with an altitude."""
     dt: float | None = None
     """Length of a tick [s]; None if unknown."""
     estimate: bool = False
@@ -62,6 +64,11 @@ class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         """Return the length of an episode [s]."""
         return self.extent["T"]
 
+    @property
+    def altitude(self) -> bool:
+        """Return True if the UAV has an altitude, hence two more entries and a third action."""
+        return self.extent.keys() >= HIGHER
+
     def space(self) -> spaces.Space[Any]:
         """Return the environment's own observation space."""
         patch = given_patch(self.coverage_patch)
@@ -69,6 +76,7 @@ class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
             self.extent,
             estimate=self.estimate,
             gradient=self.gradient,
+            altitude=self.altitude,
             pixels=0 if patch is None else patch.pixels,
             dtype=np.dtype(self.dtype).type,
         )
@@ -93,11 +101,10 @@ def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of seve
     uav = next((one for one in scenario.vehicles if one.name == env.agent), None)
     if not isinstance(uav, Uav):
         raise ValueError(f"agent = {env.agent!r}: not a UAV; allowed: a UAV")
-    if uav.initial_altitude is not None:
-        raise ValueError(f"agent = {env.agent!r}: has an altitude; allowed: a UAV in the plane")
     patch = options.coverage_patch
+    given = NEEDED if uav.initial_altitude is None else NEEDED | HIGHER
     return ObservationRecipe(
-        extent={name: value for name, value in extent_of(scenario, uav).items() if name in NEEDED},
+        extent={name: value for name, value in extent_of(scenario, uav).items() if name in given},
         dt=scenario.dt,
         estimate=options.estimate,
         gradient=options.gradient,

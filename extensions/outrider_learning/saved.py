@@ -19,7 +19,7 @@ from bus.files import read_regular, writing
 from bus.messages.vehicle import UavBriefing
 from bus.observations import ROUNDING, UAV, by_name, largest, names
 from bus.policies import policy_forms
-from outrider_learning.learned import check_made_for, check_plane
+from outrider_learning.learned import check_altitude, check_made_for
 from outrider_learning.recipe import (
     NEEDED,
     HeldAction,
@@ -87,17 +87,17 @@ class SavedPolicy:
     def __init__(self, model: Model, recipe: ObservationRecipe) -> None:
         self._model, self._recipe = model, recipe
         self._layers = [make_layer(layer) for layer in recipe.layers]
-        space = recipe.space()
+        space, axes = recipe.space(), 3 if recipe.altitude else 2
         self._shapes = _shapes(space)
         for layer in self._layers:
             if isinstance(layer, Transformation):
                 space = layer.space(space)
-                layer.action_space(spaces.Box(-1.0, 1.0, (2,), np.float64))
+                layer.action_space(spaces.Box(-1.0, 1.0, (axes,), np.float64))
         made, done = _shapes(model.observation_space), getattr(model.action_space, "shape", None)
-        if made != _shapes(space) or done != (2,):
+        if made != _shapes(space) or done != (axes,):
             raise ValueError(
                 f"model: observations of shape {made} and actions of shape {done}; "
-                f"the recipe gives {_shapes(space)} and (2,)"
+                f"the recipe gives {_shapes(space)} and ({axes},)"
             )
         self.setup: dict[str, Any] = {
             "estimate": recipe.estimate,
@@ -122,10 +122,13 @@ class SavedPolicy:
             A warning if the area is larger than in training.
 
         Raises:
-            ValueError: If the tick length or the UAV's maximum speed differs, or the UAV has an altitude.
+            ValueError: If the tick length, the UAV's maximum speed or its vertical bounds differ.
         """
-        check_plane(briefing)
         made, area = self._recipe.extent, briefing.area
+        check_altitude(briefing, trained=self._recipe.altitude)
+        if briefing.altitude is not None:
+            check_made_for("max_altitude", briefing.altitude.max_altitude, made["z_max"])
+            check_made_for("max_climb_rate", briefing.altitude.max_climb_rate, made["w_max"])
         if self._recipe.dt is not None:
             check_made_for("dt", briefing.dt, self._recipe.dt)
         most = largest(area, briefing.dt)["v_max"]
@@ -152,7 +155,7 @@ class SavedPolicy:
         self._flown = scenario.ticks * scenario.dt
 
     def __call__(self, observation: AgentObservation) -> Array:
-        """Return the accelerations [m/s²] of all worlds. Shape (worlds, 2).
+        """Return the accelerations [m/s²] of all worlds. Shape (worlds, 2), or (worlds, 3) with an altitude.
 
         Raises:
             ValueError: If the environment was not created with the policy's `setup`, or a `repeat` layer meets worlds

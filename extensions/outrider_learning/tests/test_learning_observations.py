@@ -19,7 +19,9 @@ from outrider_learning.repeat import ActionRepeat
 from outrider_learning.stacking import Stack
 from outrider_learning.transformation import Transformation, Transformed
 from refusals import refused
-from sim.env.observation import one_of_world
+from sim.env.observation import ObservationFormat, one_of_world
+from sim.env.settings import settings_of
+from sim.scenario.loading import load_scenario
 from sim.scenario.types import Ugv
 from worlds import FREE, ONE, equal
 
@@ -213,6 +215,18 @@ def test_heading_starts_east_and_is_kept_at_rest() -> None:
     assert heading(one.begin(row(-0.5, 0.0), ALL)) == [-1.0, 0.0]
 
 
+@pytest.mark.parametrize("gradient", [False, True])
+def test_altitude_and_climb_rate_do_not_turn(gradient: bool) -> None:
+    settings = settings_of({"gradient": gradient})
+    one = bound(Egocentric(), ObservationFormat(load_scenario("town"), settings).spaces["uav_0"])
+    row = [0.0, 1.0, 1.0, 0.0, 0.5, 1.0, 0.2, 0.3, 0.0, 14.0, -0.5]
+    seen = one.begin(np.array([row + [0.6, 0.8] * gradient]), ALL)[0]
+    assert seen[10:12].tolist() == [14.0, -0.5]
+    assert seen[7:9] == pytest.approx([0.3, -0.2])  # ahead is north, left is west
+    assert seen[12:] == pytest.approx([0.8, -0.6] * gradient)
+    np.testing.assert_array_equal(one.action(np.array([[0.3, 0.1, -0.7]])), [[-0.1, 0.3, -0.7]])
+
+
 def test_the_picture_turns_with_the_vehicle() -> None:
     one = bound(Egocentric(), uav_space(coverage_patch=(5, 1.0)))
     picture = np.arange(25.0).reshape(5, 5) / 25.0
@@ -246,7 +260,7 @@ def test_what_does_not_fit_is_refused_in_one_line() -> None:
         gymnasium.spaces.Discrete(3),
         bound(Egocentric(), uav_space()).space(uav_space()),
     ):
-        with refused(ValueError, "Egocentric needs the row of a UAV in the plane"):
+        with refused(ValueError, "Egocentric needs the row of a UAV or a UGV"):
             Egocentric().space(space)
     for length in (0, -1, 2.5, None):
         with refused(ValueError, "length = .*: not a positive integer"):

@@ -21,7 +21,7 @@ from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.user_code import check_own_functions, load_uav_policy
 from outrider_learning.egocentric import Egocentric
 from outrider_learning.learned import LearnedPolicy
-from outrider_learning.recipe import observation_recipe
+from outrider_learning.recipe import ObservationRecipe, observation_recipe
 from outrider_learning.repeat import ActionRepeat
 from outrider_learning.saved import SavedPolicy
 from outrider_learning.stacking import Stack
@@ -30,7 +30,6 @@ from outrider_learning.suite.tasks import TASKS
 from outrider_learning.transformation import Transformed
 from refusals import refused
 from sim.engine.briefing import uav_briefing
-from sim.env.observation import ObservationFormat
 from sim.env.settings import settings_of
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Custom, Scenario
@@ -174,11 +173,11 @@ def test_each_of_several_uavs_has_a_memory_of_its_own() -> None:
 class Linear:
     """Model with the interface of Stable-Baselines3."""
 
-    def __init__(self, space: spaces.Space[Any]) -> None:
+    def __init__(self, space: spaces.Space[Any], axes: int = 2) -> None:
         self.observation_space = space
-        self.action_space = spaces.Box(-0.3, 0.3, (2,), np.float64)
         rows = space.spaces["row"] if isinstance(space, spaces.Dict) else space
-        self._weights = np.random.default_rng(2).normal(size=(np.prod(rows.shape), 2))
+        self.action_space = spaces.Box(-0.3, 0.3, (axes,), np.float64)
+        self._weights = np.random.default_rng(2).normal(size=(np.prod(rows.shape), axes))
 
     def predict(
         self,
@@ -202,30 +201,32 @@ WRAPPED: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("patch", [None, (5, 1.0)])
+@pytest.mark.parametrize(
+    ("scenario", "patch"), [("escort", None), ("escort", (5, 1.0)), ("town", (5, 1.0))]
+)
 @pytest.mark.parametrize("name", WRAPPED)
-def test_a_saved_policy_acts_as_in_its_training(name: str, patch: Any) -> None:
+def test_a_saved_policy_acts_as_in_its_training(name: str, scenario: str, patch: Any) -> None:
     settings: dict[str, Any] = {"duration": 4.0, "coverage_patch": patch, "estimate": True}
-    env = WRAPPED[name](outrider.vector_env("escort", num_envs=2, **settings))
-    model = Linear(env.single_observation_space)
+    env = WRAPPED[name](outrider.vector_env(scenario, num_envs=2, **settings))
+    model = Linear(env.single_observation_space, *env.single_action_space.shape)
     recipe = msgspec.json.decode(
         msgspec.json.encode(observation_recipe(env)), type=type(observation_recipe(env))
     )
     policy = SavedPolicy(model, recipe)
     own = {key: value for key, value in policy.setup.items() if key != "duration"}
-    plain = outrider.vector_env("escort", num_envs=2, duration=4.0, **own)
+    plain = outrider.vector_env(scenario, num_envs=2, duration=4.0, **own)
     shown, _ = env.reset(seed=6)
     seen, _ = plain.reset(seed=6)
-    repeat = 5 if name == "repeated" else 1
+    repeat, heights = 5 if name == "repeated" else 1, set[float]()
     for _ in range(160 // repeat):  # two episodes
         shown, *_ = env.step(model.predict(shown, deterministic=True)[0])
         for _ in range(repeat):
             seen, *_ = plain.step(policy(seen))
-        for one, other in zip((env.unwrapped, plain), (plain, env.unwrapped), strict=True):
-            np.testing.assert_array_equal(
-                one.worlds.loop.state.batch.vehicles["position"],
-                other.worlds.loop.state.batch.vehicles["position"],
-            )
+        one, other = (each.unwrapped.worlds.loop.state.batch.vehicles for each in (env, plain))
+        np.testing.assert_array_equal(one["position"], other["position"])
+        np.testing.assert_array_equal(one["vertical"]["altitude"], other["vertical"]["altitude"])
+        heights.add(float(one["vertical"]["altitude"][0, 0]))
+    assert (len(heights) > 1) == (scenario == "town")
 
 
 def test_saved_policy_flies_a_run_and_reports_too_large_an_area() -> None:
@@ -248,21 +249,29 @@ def test_saved_policy_flies_a_run_and_reports_too_large_an_area() -> None:
     assert "larger than the 40 m x 40 m" in line
 
 
-def test_saved_policies_refuse_a_uav_with_an_altitude() -> None:
-    """The policies were trained in the plane; nothing is flown before the error."""
-    env = outrider.vector_env("escort", num_envs=1)
-    saved = SavedPolicy(Linear(env.single_observation_space), observation_recipe(env))
+def recipe_of(scenario: Scenario) -> ObservationRecipe:
+    """The recipe of an environment's own rows, which need not be built."""
+    worlds = SimpleNamespace(scenario=scenario, settings=settings_of({}))
+    return observation_recipe(SimpleNamespace(agent="uav_0", worlds=worlds))
+
+
+def test_saved_policies_need_the_altitudes_of_their_training() -> None:
+    """Nothing is flown before the error."""
+    town = load_scenario("town")
+    plane, high = recipe_of(ESCORT), recipe_of(town)
+    saved = SavedPolicy(Linear(plane.space()), plane)
     for policy in (saved, LearnedPolicy.load(EXAMPLES / "uav_ppo.npz")):
         with refused(ValueError, "town: uav_0: initial_altitude = 14 m: the policy was trained"):
-            policy.check(load_scenario("town"))
-    town, settings = load_scenario("town"), settings_of({})
-    unbuilt = SimpleNamespace(
-        agent="uav_0", worlds=SimpleNamespace(scenario=town, settings=settings)
-    )
-    with refused(ValueError, "agent = 'uav_0': has an altitude; allowed: a UAV in the plane"):
-        observation_recipe(unbuilt)
-    with refused(ValueError, "Egocentric needs the row of a UAV in the plane"):
-        Egocentric().space(ObservationFormat(town, settings).spaces["uav_0"])
+            policy.check(town)
+    policy = SavedPolicy(Linear(high.space(), 3), high)
+    policy.check(town)
+    with refused(ValueError, "initial_altitude: missing; the policy was trained with an altitude"):
+        policy.check(ESCORT)
+    for name, value, made in (("max_altitude", 17.0, 16), ("max_climb_rate", 0.7, 1)):
+        with refused(ValueError, f"{name} = {value:g}: the policy was trained with {made}"):
+            policy.check(load_scenario("town", overrides={f"uav.0.{name}": value}))
+    with refused(ValueError, r"the recipe gives \(11,\) and \(3,\)"):
+        SavedPolicy(Linear(high.space(), 2), high)
 
 
 class Mine(Egocentric):
