@@ -119,27 +119,32 @@ class SavedPolicy:
         """Check that the policy supports a UAV.
 
         Returns:
-            A warning if the area is larger than in training.
+            Warnings if the area is larger or the UAV may fly higher than in training.
 
         Raises:
-            ValueError: If the tick length, the UAV's maximum speed or its vertical bounds differ.
+            ValueError: If the tick length, the UAV's maximum speed or its maximum climb rate differs, or if it was
+                trained without an altitude, or with one that this UAV lacks.
         """
-        made, area = self._recipe.extent, briefing.area
+        made, area, high = self._recipe.extent, briefing.area, briefing.altitude
         check_altitude(briefing, trained=self._recipe.altitude)
-        if briefing.altitude is not None:
-            check_made_for("max_altitude", briefing.altitude.max_altitude, made["z_max"])
-            check_made_for("max_climb_rate", briefing.altitude.max_climb_rate, made["w_max"])
         if self._recipe.dt is not None:
             check_made_for("dt", briefing.dt, self._recipe.dt)
         most = largest(area, briefing.dt)["v_max"]
         check_made_for("max_speed", min(briefing.limits.numbers[0], most), made["v_max"])
-        width, height = made["W"], made["H"]
+        warnings, (width, height) = [], (made["W"], made["H"])
         if area.width > width or area.height > height:
-            return (
+            warnings.append(
                 f"area = {area.width:g} m x {area.height:g} m: larger than the {width:g} m x {height:g} m of the "
-                "policy's training; it may observe positions outside its training range",
+                "policy's training; it may observe positions outside its training range"
             )
-        return ()
+        if high is not None:
+            check_made_for("max_climb_rate", high.max_climb_rate, made["w_max"])
+            if high.max_altitude > made["z_max"]:
+                warnings.append(
+                    f"max_altitude = {high.max_altitude:g} m: higher than the {made['z_max']:g} m of the policy's "
+                    "training; it may observe altitudes outside its training range"
+                )
+        return tuple(warnings)
 
     def check(self, scenario: Scenario) -> None:
         """Check that the policy supports a scenario, whose worlds it will control.

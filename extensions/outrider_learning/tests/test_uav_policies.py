@@ -267,9 +267,12 @@ def test_saved_policies_need_the_altitudes_of_their_training() -> None:
     policy.check(town)
     with refused(ValueError, "initial_altitude: missing; the policy was trained with an altitude"):
         policy.check(ESCORT)
-    for name, value, made in (("max_altitude", 17.0, 16), ("max_climb_rate", 0.7, 1)):
-        with refused(ValueError, f"{name} = {value:g}: the policy was trained with {made}"):
-            policy.check(load_scenario("town", overrides={f"uav.0.{name}": value}))
+    with refused(ValueError, "max_climb_rate = 0.7: the policy was trained with 1"):
+        policy.check(load_scenario("town", overrides={"uav.0.max_climb_rate": 0.7}))
+    policy.check(load_scenario("courtyard"))
+    higher = load_scenario("town", overrides={"uav.0.max_altitude": 17.0})
+    (line,) = policy.fits(uav_briefing(higher, "uav_0", 1))
+    assert "max_altitude = 17 m: higher than the 16 m" in line
     with refused(ValueError, r"the recipe gives \(11,\) and \(3,\)"):
         SavedPolicy(Linear(high.space(), 2), high)
 
