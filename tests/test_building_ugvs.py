@@ -232,6 +232,8 @@ def test_a_ugv_that_may_wait_beside_an_unknown_building_is_warned_of() -> None:
         changes = {**UNKNOWN_MAP, "ground.sensing_range": sensing}
         warnings = scenario_warnings(load_scenario("town", overrides=changes))
         assert any("may wait forever beside an unknown building" in x for x in warnings) == told
+    others = load_scenario("town", overrides={**UNKNOWN_MAP, "ugv.0.driver": "waypoints"})
+    assert not any("may wait forever" in x for x in scenario_warnings(others))
 
 
 def test_legs_through_a_given_building_are_warned_of() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 
 from agents.drivers.tile_map import MAPPED, MEASURED, OccupancyGrid
 from bus.messages.vehicle import UgvBriefing
-from sim.models.ground import CLEAR, add_polygon
+from sim.models.ground import CLEAR, UNSEEN, add_polygon
 from sim.models.hazards import BLOCK
 
 
@@ -21,7 +21,7 @@ def map_buildings(memory: OccupancyGrid, briefing: UgvBriefing) -> None:
         briefing: Briefing of the UGV.
     """
     ground = briefing.ground
-    if ground is None:
+    if ground is None or not (ground.only_buildings or briefing.buildings):
         return
     if ground.only_buildings:
         memory.tiles[...], memory.measured[...] = CLEAR, MEASURED
@@ -29,4 +29,5 @@ def map_buildings(memory: OccupancyGrid, briefing: UgvBriefing) -> None:
         corners = np.array(building.corners, dtype=np.float64)
         add_polygon(corners, ground.building_clearance, BLOCK, ground.tile, memory.tiles)
     memory.measured[memory.tiles == BLOCK] = MAPPED
-    memory.reported[...] = memory.tiles
+    memory.reported[...], memory.blocked[...] = memory.tiles, memory.tiles == BLOCK
+    memory.unseen[...] = memory.tiles == UNSEEN

@@ -63,6 +63,9 @@ class OccupancyGrid(NamedTuple):
     """States to plan on: the reported ones, enlarged by the clearance. Shape (rows, columns)."""
     reported: TileArray
     """Reported states. Shape (rows, columns)."""
+    blocked: PlaceArray
+    unseen: PlaceArray
+    """Number of tiles within the clearance that are blocked, or unseen. Shape (rows, columns)."""
     measured: TileArray
     """`MEASURED` or `MAPPED` if the state has this source; else 0. Shape (rows, columns)."""
     snapshot: TileArray
@@ -102,6 +105,8 @@ def occupancy_grid(
     return OccupancyGrid(
         tiles=np.full((rows, columns), UNSEEN, dtype=np.uint8),
         reported=np.full((rows, columns), UNSEEN, dtype=np.uint8),
+        blocked=np.zeros((rows, columns), dtype=np.int32),
+        unseen=_near_tiles(rows, columns, clearance),
         measured=np.zeros((rows, columns), dtype=np.uint8),
         snapshot=np.full(size, UNSEEN, dtype=np.uint8),
         path=np.full(size, UNSEEN, dtype=np.uint8),
@@ -114,6 +119,18 @@ def occupancy_grid(
     )
 
 
+def _near_tiles(rows: int, columns: int, clearance: float) -> PlaceArray:
+    """Return the number of tiles within the clearance of each tile. Shape (rows, columns)."""
+    i, j = np.arange(rows), np.arange(columns)
+    found, reach = np.zeros((rows, columns), dtype=np.int32), math.floor(clearance) + 1
+    for away in range(-reach, reach + 1):
+        rest = math.floor(clearance * clearance) - max(abs(away) - 1, 0) ** 2
+        half = math.isqrt(rest) + 1 if reach else 0
+        inside = (i + away >= 0) & (i + away < rows)
+        found += np.outer(inside, np.minimum(j + half, columns - 1) - np.maximum(j - half, 0) + 1)
+    return found
+
+
 @compiled
 def _is_near(clearance: float, d_row: int, d_column: int) -> bool:
     """Return whether two tiles have points within the clearance."""
@@ -123,36 +140,28 @@ def _is_near(clearance: float, d_row: int, d_column: int) -> bool:
 
 
 @compiled
-def _enlarged(memory: OccupancyGrid, row: int, column: int) -> int:
-    """Return the state of a tile to plan on."""
-    clearance, state = memory.flags[0].clearance, memory.reported[row, column]
-    height, width = memory.reported.shape
-    reach = math.floor(clearance) + 1
-    for i in range(max(row - reach, 0), min(row + reach + 1, height)):
-        for j in range(max(column - reach, 0), min(column + reach + 1, width)):
-            near = memory.reported[i, j]
-            if near in (UNSEEN, BLOCK) and _is_near(clearance, i - row, j - column):
-                if near == BLOCK:
-                    return BLOCK
-                state = UNSEEN
-    return int(state)
-
-
-@compiled
 def _set_tile(memory: OccupancyGrid, row: int, column: int, state: int) -> None:
     """Store a reported state, and update the tiles near it."""
-    if memory.reported[row, column] == state:
+    before = memory.reported[row, column]
+    if before == state:
         return
     memory.reported[row, column] = state
     clearance, (height, width) = memory.flags[0].clearance, memory.reported.shape
     reach = math.floor(clearance) + 1
     for i in range(max(row - reach, 0), min(row + reach + 1, height)):
         for j in range(max(column - reach, 0), min(column + reach + 1, width)):
-            if _is_near(clearance, i - row, j - column):
-                enlarged = _enlarged(memory, i, j)
-                if memory.tiles[i, j] != enlarged:
-                    memory.tiles[i, j] = enlarged
-                    memory.flags[0].stale = 1
+            if not _is_near(clearance, i - row, j - column):
+                continue
+            memory.blocked[i, j] += (state == BLOCK) - (before == BLOCK)
+            memory.unseen[i, j] += (state == UNSEEN) - (before == UNSEEN)
+            enlarged = memory.reported[i, j]
+            if memory.unseen[i, j] > 0:
+                enlarged = UNSEEN
+            if memory.blocked[i, j] > 0:
+                enlarged = BLOCK
+            if memory.tiles[i, j] != enlarged:
+                memory.tiles[i, j] = enlarged
+                memory.flags[0].stale = 1
 
 
 @compiled

@@ -26,8 +26,8 @@ def grids_of(grids: Sequence[OccupancyGrid], worlds: int) -> OccupancyGrid:
 def _enter(grids: OccupancyGrid, place: tuple[slice | int, int], memory: OccupancyGrid) -> None:
     """Copy the initial tiles of a UGV."""
     grids.tiles[place], grids.reported[place] = memory.tiles, memory.reported
-    grids.measured[place] = memory.measured
-    grids.flags[place] = memory.flags
+    grids.blocked[place], grids.unseen[place] = memory.blocked, memory.unseen
+    grids.measured[place], grids.flags[place] = memory.measured, memory.flags
 
 
 def map_random_buildings(

@@ -38,6 +38,8 @@ def _grid_of(grids: OccupancyGrid, late: int, world: int, ugv: int) -> Occupancy
     return OccupancyGrid(
         grids.tiles[world, ugv],
         grids.reported[world, ugv],
+        grids.blocked[world, ugv],
+        grids.unseen[world, ugv],
         grids.measured[world, ugv],
         grids.snapshot[world, ugv],
         grids.path[world, ugv],

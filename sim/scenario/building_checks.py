@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bus.messages.buildings import MOST_BUILDINGS, AltitudeLimits
-from bus.registry import ALTITUDE_LAWS
+from bus.registry import ALTITUDE_LAWS, CAUTIONS
 from sim.input.faults import Fault, unknown_name
 from sim.models.hazards import BLOCK, hazard_at
 from sim.scenario.building_tables import highest_building, most_buildings
@@ -182,8 +182,11 @@ def building_warnings(scenario: Scenario) -> Iterator[str]:
     if not scenario.has_buildings:
         return
     tile, sensing = scenario.ground.tile, scenario.ground.sensing_range
-    needed = scenario.building_clearance + 2.0 * tile
-    if tile_clearance(scenario) > 0.0 and sensing < needed:
+    waiting = [
+        ugv for ugv in scenario.ugv if ugv.driver == "navigate" and ugv.caution == CAUTIONS[0]
+    ]
+    needed = max((ugv.building_clearance for ugv in waiting), default=0.0) + 2.0 * tile
+    if tile_clearance(scenario) > 0.0 and waiting and sensing < needed:
         yield (
             f"ground.sensing_range = {sensing:g} m: a UGV may wait forever beside an unknown building, as no UAV sees "
             f"the ground under it; {needed:g} m (building_clearance + 2 ground.tile) lets it sense the building itself"
