@@ -192,7 +192,7 @@ def test_cautious_ugv_keeps_its_clearance_in_towns(town: Scenario, seeds: int) -
 def test_cautious_ugv_keeps_its_clearance_in_unknown_towns(seeds: int) -> None:
     """Its UAV is certified all the time, without a map of either vehicle."""
     mines = HazardField(kind="block", count=30, radius=(0.2, 0.4))
-    town = load_scenario("town", overrides={**UNKNOWN_MAP, "duration": 900.0})
+    town = load_scenario("town", overrides={**UNKNOWN_MAP, "duration": 1200.0})
     one = check_scenario(msgspec.structs.replace(town, hazard_field=(mines,)))
     assert near_building(one, seeds) == [0] * seeds
     assert fly(msgspec.structs.replace(one, duration=60.0), 1)[1].certified_share == 1.0
