@@ -500,7 +500,7 @@ class Docker:
             "--volume=/var/cache/outrider",
             f"--volume={self.runs}:/runs:ro",
         ]
-        found: Json = json.loads(self("run", *apart, self.image, *words))
+        found: Json = json.loads(self("run", *apart, self.image, *words, limit=180.0))
         return found
 
 
@@ -632,6 +632,23 @@ class Checks:
             when = f"after {mission['mission_time']:.0f} s" if mission["arrived"] else "not in time"
             results.append(f"{scenario}: no hazard hit, arrived {when}")
         return f"the same bits; {'; '.join(results)}"
+
+    def town(self) -> str:
+        """A minute in a town, with a map of the buildings and without: the same runs, certified throughout."""
+        docker, results = self.docker, []
+        known = (ROOT / "sim" / "scenario" / "shipped" / "town.toml").read_text()
+        unknown = known.replace("building_clearance = 1.5", "building_clearance = 1.0")
+        unknown += "\n[buildings]\nknown = false\n\n[ground]\nsensing_range = 2.0\n"
+        for name, text in (("known", known), ("unknown", unknown)):
+            (docker.runs / f"{name}.toml").write_text(text)
+            file = f"/runs/{name}.toml"
+            flown = docker.flown(OUTRIDER_SCENARIO=file, OUTRIDER_DURATION="60")
+            same = same_flight(flown, docker.reference("60", file))
+            share, near = flown["certified_share"], flown["mission"]["near_building"]
+            expect(share == 1.0, f"{name}: certified in {share:.1%} of the ticks")
+            expect(near == 0, f"{name}: {near} ticks too near to a building")
+            results.append(f"{name}: {same}")
+        return "; ".join(results)
 
     def failure(self) -> str:
         """An invalid scenario ends with the simulator's exit code."""
