@@ -17,8 +17,8 @@ def guaranteed_clearance(scenario: Scenario, ugv: Ugv) -> float:
 def clearance_fault(scenario: Scenario, ugv: Ugv) -> str:
     """Return why a UGV guarantees no distance from buildings; empty if it does.
 
-    The cautious driver `navigate` keeps it from known buildings. From unknown ones it does so if the UAVs' reports open
-    no wrong tile.
+    The cautious driver `navigate` keeps it from known buildings. From unknown ones it does so if all reports are
+    true: a UGV beside a false alarm leaves tiles that it takes for blocked, past ground that it does not know.
     """
     if ugv.driver != "navigate" or ugv.caution != CAUTIONS[0]:
         return f'requires driver = "navigate" and caution = "{CAUTIONS[0]}"'
@@ -26,7 +26,11 @@ def clearance_fault(scenario: Scenario, ugv: Ugv) -> str:
         return "the UGV starts moving"
     if ugv.building_clearance == 0.0:
         return "building_clearance = 0"
-    return "" if scenario.buildings.known else next(report_faults(scenario, ugv), "")
+    if scenario.buildings.known:
+        return ""
+    if scenario.ground.false_alarm > 0.0:
+        return f"ground.false_alarm = {scenario.ground.false_alarm:g}; allowed among unknown buildings: 0"
+    return next(report_faults(scenario, ugv), "")
 
 
 def report_faults(scenario: Scenario, ugv: Ugv) -> Iterator[str]:
