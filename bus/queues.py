@@ -11,7 +11,7 @@ import zenoh
 
 from bus.errors import BusError
 from bus.keys import Key
-from bus.messages.base import LONGEST_TEXT, Message
+from bus.messages.base import LONGEST_TEXT, Message, fitted
 
 _LOG = logging.getLogger("outrider.bus")
 WAKE_PERIOD = 0.1
@@ -195,8 +195,8 @@ class Inbox:
             return None
 
     def _refuse(self, sender: str, key: zenoh.KeyExpr, reason: str) -> None:
-        text = reason[:LONGEST_TEXT]
-        reason = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
+        text = reason[:LONGEST_TEXT]  # a flood of long ones must not cost time
+        reason = fitted("".join(one if one.isprintable() else ascii(one)[1:-1] for one in text))
         self.fault[sender] = reason
         self.refused[sender] = count = self.refused[sender] + 1
         if count & (count - 1) == 0:  # the 1st, 2nd, 4th, 8th ...: a flood must not fill the log

@@ -1,6 +1,7 @@
 """Bounded numbers and texts, and the base class of every message."""
 
 import math
+from collections.abc import Sequence
 from typing import Annotated
 
 import msgspec
@@ -46,6 +47,34 @@ Covariance = tuple[NonNegative, Coordinate, NonNegative]
 
 class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Base class of all messages."""
+
+
+_SHARE_OF_START = 0.6
+"""Share of a shortened text that its start gets; its end, with what is allowed or helps, gets the rest."""
+_MOST_LINES = 50
+"""Largest number of lines in a list of texts for observers."""
+
+
+def fitted(text: str, length: int = LONGEST_TEXT) -> str:
+    """Return a text that fits a `Text`: an ellipsis replaces whole words in the middle of a longer one.
+
+    Characters without an encoding, as in file names, become question marks.
+    """
+    text = text.encode(errors="replace").decode()
+    if len(text) <= length:
+        return text
+    room = length - len(" … ")
+    first = round(_SHARE_OF_START * room)
+    start, end = text[: first + 1], text[first - room - 1 :]
+    start = start[:first] if " " not in start else start.rpartition(" ")[0]
+    end = end[1:] if " " not in end else end.partition(" ")[2]
+    return f"{start.rstrip()} … {end.lstrip()}"
+
+
+def fitted_lines(lines: Sequence[str]) -> tuple[str, ...]:
+    """Return lines that fit a list of texts for observers; the last line counts those left out."""
+    shown = tuple(fitted(line) for line in lines[:_MOST_LINES])
+    return shown if len(lines) <= _MOST_LINES else (*shown, f"… and {len(lines) - len(shown)} more")
 
 
 def or_infinite(bound: float | None) -> float:

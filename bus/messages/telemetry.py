@@ -264,7 +264,9 @@ class Status(Message, frozen=True, kw_only=True):
     mission: MissionResult | None = None
     """Result of the mission so far; None: no hazards."""
     warnings: tuple[Text, ...] = ()
-    """Assumptions of the certificate that the current links can violate, one line each."""
+    """Assumptions of the certificate that the current links can violate, one line each, at most 50; a longer line is
+    shortened in the middle.
+    """
     links: dict[Text, LinkStatus] = {}
     """Counters of each link, by `vehicle/kind`."""
     vehicles: dict[Name, VehicleStatus]

@@ -230,6 +230,8 @@ def _dicts(summary: Summary) -> Iterator[TextRow]:
             yield f"link {name}", ", ".join(parts)
     for name, counts in summary.faults.items():
         yield f"faults of {name}", _counts(counts)
+    if summary.telemetry_faults:
+        yield "not sent to observers", _counts(summary.telemetry_faults)
     if summary.processes:
         yield "processes", ", ".join(f"{one.name} ({one.pid})" for one in summary.processes)
 

@@ -309,6 +309,7 @@ def _end(job: _Job, server: Server, audience: _Terminal | _Parent) -> None:
         realtime=job.scenario.run.realtime or None,
         late_ticks=server.late_ticks,
         changes=server.changes,
+        telemetry_faults=server.telemetry_faults,
     )
     audience.flown(summary)
     files: list[Path] = []

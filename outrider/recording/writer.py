@@ -11,6 +11,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from bus.messages.base import fitted_lines
 from bus.messages.control import Action, Change, Control
 from bus.messages.ground import GroundMap, Hazard
 from bus.messages.telemetry import CoverageMap, Status, VehicleStatus
@@ -192,7 +193,7 @@ class FlightRecorder:
             realtime_factor=max(0, flight.world.tick - tick)
             * flight.scenario.dt
             / max(now - before, 1e-6),
-            warnings=assumption_warnings(flight.flown, flight.world.link_table),
+            warnings=fitted_lines(assumption_warnings(flight.flown, flight.world.link_table)),
             vehicles={**status.vehicles, **self.vehicles()},
         )
 

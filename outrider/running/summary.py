@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -70,6 +71,8 @@ class Summary(UavMetrics, frozen=True, kw_only=True):
     """Ticks without a new command, by vehicle."""
     faults: dict[str, dict[str, int]] = {}
     """Faults of a vehicle's process, counted by cause; empty without a fault."""
+    telemetry_faults: dict[str, int] = {}
+    """Messages to observers that could not be made or sent, by topic; they change nothing else."""
     uncertified: dict[NotCertified, int] = {}
     """Ticks that were not certified, by reason."""
     certified_while_lost: int = 0
@@ -214,6 +217,7 @@ def summarize(
     realtime: float | None = None,
     late_ticks: int = 0,
     changes: Sequence[Change] = (),
+    telemetry_faults: Mapping[str, int] = MappingProxyType({}),
 ) -> Summary:
     """Return the summary of a flight so far.
 
@@ -224,6 +228,7 @@ def summarize(
         realtime: Target real-time factor; None: lockstep.
         late_ticks: Ticks that missed their wall-clock time.
         changes: Changes by operators.
+        telemetry_faults: Messages to observers that could not be made or sent, by topic.
     """
     from sim.server.recorder import platform_row  # noqa: PLC0415 - reading a summary needs no compiled code
 
@@ -245,6 +250,7 @@ def summarize(
         visibility_radius=scenario.visibility.radius,
         missing_commands=dict(flight.answers.missing),
         faults=_faults(vehicles or {}, flight.answers.shortened),
+        telemetry_faults=dict(telemetry_faults),
         largest_tracking_error=recorder.tracking_error,
         mission=world.mission,
         links=world.links.status(),

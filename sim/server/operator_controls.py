@@ -7,7 +7,7 @@ import msgspec
 
 from bus.errors import ScenarioError
 from bus.keys import CONTROL, OPERATOR
-from bus.messages.base import LONGEST_TEXT
+from bus.messages.base import fitted
 from bus.messages.control import Action, Change, Control, Rejection
 from bus.messages.vehicle import Teleoperation
 from bus.registry import DRIVERS
@@ -106,7 +106,7 @@ class OperatorControls:
         try:
             self._carry_out(control)
         except ScenarioError as error:
-            tick, reason = self._flight.world.tick, str(error)[:LONGEST_TEXT]
+            tick, reason = self._flight.world.tick, fitted(str(error))
             self.rejections.append(Rejection(tick=tick, action=control.action, reason=reason))
             self._on_event(f"an operator's {control.action} is rejected: {error}")
             return

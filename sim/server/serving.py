@@ -59,7 +59,9 @@ class Server:
         self._operators = OperatorControls(
             session, self.flight, make_pace, scenario.run.realtime or None, on_event
         )
-        self._telemetry = Telemetry(session, self.flight, self._sessions, self._operators, warn)
+        self._telemetry = Telemetry(
+            session, self.flight, self._sessions, self._operators, warn, on_event
+        )
         session.announce()
 
     def join(self) -> None:
@@ -140,6 +142,11 @@ class Server:
             default=0,
         )
         return tuple(changes[first:])
+
+    @property
+    def telemetry_faults(self) -> dict[str, int]:
+        """Return the number of telemetry messages that could not be made or sent, by topic."""
+        return dict(self._telemetry.faults)
 
     @property
     def late_ticks(self) -> int:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import msgspec
 
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, Key, Role
-from bus.messages.base import LONGEST_TEXT
+from bus.messages.base import fitted
 from bus.messages.telemetry import VehicleStatus
 from bus.messages.vehicle import Command, Observation, UavCommand, UgvCommand
 from bus.session import Envelope, Outbox, Session
@@ -176,7 +176,7 @@ class Sessions:
                 f"{entry.name}: {cause}: {fault}; rejected, further ones are only counted"
             )
         entry.refused[cause] += count
-        entry.fault = fault[:LONGEST_TEXT]
+        entry.fault = fitted(fault)
 
     @property
     def absent(self) -> list[str]:
