@@ -6,7 +6,7 @@ import os
 import signal
 import socket
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
@@ -19,11 +19,12 @@ from agents import process
 from agents.uav import UavPilot
 from bus.errors import PeerLost
 from bus.keys import BRIEFING, Role
+from bus.messages.decision import NotCertified
 from bus.messages.telemetry import Status
 from outrider import style
 from outrider.cli import scenarios
 from outrider.running import launch
-from outrider.running.flying import fly
+from outrider.running.flying import InProcess, fly, make_pilots
 from processes import (
     SHORT,
     SILENT,
@@ -40,8 +41,10 @@ from scattered import SECONDS, SECRET, scattered
 from sim.engine.briefing import uav_briefing
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Run
+from sim.server.flight import Flight
 from staging import GIVEN, client_of, hosted
 from tabular import words
+from test_assurance import report_of
 
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
 WHOLE = load_scenario("escort", overrides=[f"duration={SECONDS}"])
@@ -262,3 +265,58 @@ def test_a_full_disk_names_the_file_that_could_not_be_written(tmp_path: Path, wr
     with pytest.raises(OSError, match="No space left") as error:
         writers[written]()
     assert error.value.filename == str(full)
+
+
+class Rejoining(InProcess):
+    """Pilots without a bus, whose processes all rejoin in one tick, after their answers to it or before.
+
+    The UAV claims to be uncertified at the ticks of `false`.
+    """
+
+    def __init__(
+        self, flight: Flight, at: int, *, answered: bool, false: Collection[int] = ()
+    ) -> None:
+        self._flight, self._at, self._answered, self._false = flight, at, answered, false
+        super().__init__(make_pilots(flight.scenario, flight.seed))
+
+    def collect(self, tick: int) -> dict[str, Any]:
+        if tick == self._at and not self._answered:
+            self._rejoin()
+        if tick == self._at + self._answered:
+            self._brief(tick)
+        commands = super().collect(tick)
+        if tick == self._at and self._answered:
+            self._rejoin()
+        if tick in self._false:
+            claim = report_of(False)
+            commands["uav_0"] = msgspec.structs.replace(commands["uav_0"], report=claim)
+        return commands
+
+    def _rejoin(self) -> None:
+        for name in self._pilots:
+            self._flight.rejoin(name)
+
+    def _brief(self, tick: int) -> None:
+        self._pilots = made = make_pilots(self._flight.scenario, self._flight.seed)
+        for name, pilot in made.items():
+            for observation in self._flight.past(name, 0, tick, ()):
+                pilot.act(observation)
+            pilot.forget_commands()
+
+
+@pytest.mark.parametrize("answered", [True, False])
+def test_first_reports_after_a_rejoin_break_no_certificate(answered: bool) -> None:
+    def flown(**changes: Any) -> Flight:
+        flight = Flight(scenario, 1)
+        flight.fly(Rejoining(flight, 40, answered=answered, **changes))
+        return flight
+
+    scenario = load_scenario(
+        "minefield", overrides={"law.name": "certified", "duration": 4.0, "area.cell": 0.5}
+    )
+    flight = flown()
+    counted, mission = flight.answers.assurance, flight.world.mission
+    assert counted.reasons[NotCertified.UNCHECKED_PLAN] == 1
+    assert counted.certificate_broken == mission.ground_certificate_broken == 0
+    assert mission.guarantees["ugv_0"].certified > 60
+    assert flown(false=(39, 44)).answers.assurance.certificate_broken == 2

@@ -23,6 +23,14 @@ def _largest(motions: Iterable[BackupTrajectory]) -> float:
     return max(x * x + y * y for three in accelerations for x, y in three)
 
 
+def _is_certified(command: Command) -> bool | None:
+    """Return whether a command's report certifies its tick; None: it has no report."""
+    if isinstance(command, UavCommand):
+        decision = None if command.report is None else command.report.decision
+        return None if decision is None else decision.certified
+    return None if command.report is None else command.report.certified
+
+
 _Tick = tuple[int, Mapping[str, Command], str]
 """Commands of one tick: the tick, the new commands, and the UAVs' control law."""
 
@@ -74,6 +82,34 @@ class Answers:
         flown = world.arrays[1].flown[0, :, 0]
         self._evidence = recorder.arrivals, world.vehicles, flown
         self._recorded: _Tick | None = None
+        self._rejoined: dict[str, int] = {}
+        """Tick at which each vehicle's process has rejoined, until its new pilot has reported."""
+
+    def rejoined(self, name: str) -> None:
+        """Allow the first report of a vehicle's new pilot to end a certificate: it has sent no plan yet."""
+        self._rejoined[name] = self._world.tick
+
+    def excuses(self, name: str, command: Command | None) -> bool:
+        """Return whether a certificate may end with this command, as the vehicle's process has rejoined.
+
+        The former pilot's answer to the tick of the rejoining may be the one that counts. The new pilot's first report
+        is therefore the first that is not certified, or that answers a later tick.
+
+        Args:
+            name: Name of the vehicle.
+            command: Its new command; None: none.
+        """
+        since = self._rejoined.get(name)
+        if since is None:
+            return False
+        certified = None if command is None else _is_certified(command)
+        if (
+            command is not None
+            and certified is not None
+            and (not certified or command.tick > since)
+        ):
+            del self._rejoined[name]
+        return True
 
     def counted(self, name: str) -> VehicleStatus:
         """Return the command counters of a vehicle that has joined."""
@@ -148,6 +184,8 @@ class Answers:
             self._check_pilot(uav, command, tick, law)
         if self._disturbed and (watched or (report and report.decision is not None)):
             self.assurance.track(uav, self._recorder.tracking_error_at(tick, uav))
+        if self.excuses(self._uavs[uav], command):
+            self.assurance.excuse(uav)
         said = tick if command is None else command.tick
         lost = self._recorder.is_lost(said, uav)
         self.assurance.record(uav, tick, command, self._evidence, lost, watched=watched)

@@ -84,7 +84,7 @@ class Assurance:
         record_tracking_error(self._bounds, self._counts, uav, off)
 
     def excuse(self, uav: int) -> None:
-        """Allow this UAV's certificate to end at the next tick, after a new control law or a reconnection."""
+        """Allow this UAV's certificate to end at the next tick, after a new control law or with a new pilot."""
         self._counts["certified_before"][uav] = False
 
     def disregard(self, uav: int) -> None:

@@ -176,8 +176,7 @@ class Flight:
 
     def rejoin(self, name: str) -> None:
         """Handle a vehicle's process that has rejoined: its new pilot knows only the past that it receives."""
-        if name in self._uav_row:
-            self.answers.assurance.excuse(self._uav_row[name])
+        self.answers.rejoined(name)
 
     def status(self) -> Status:
         """Return the status of the run; the server adds its pace and the state of the vehicles' processes."""
@@ -268,6 +267,8 @@ class Flight:
             command = commands.get(name)
             if world.ground is not None and name not in self._uav_row:
                 report = command.report if isinstance(command, UgvCommand) else None
+                if self._answers.excuses(name, command):
+                    world.record_claim(k, None)
                 world.record_claim(k, report if command and command.tick == world.tick else None)
             if command is None:
                 continue
@@ -277,9 +278,8 @@ class Flight:
                 self.radio.send(k, command)
             elif command.route is not None:
                 self.routes[name] = command.route
-        tick = world.tick
         world.advance()
-        self._answers.record(tick, commands, self.law.name)
+        self._answers.record(world.tick - 1, commands, self.law.name)
 
     def take_down(self) -> None:
         """Evaluate the commands of the previous tick and record this one; repeated calls at a tick have no effect.
