@@ -124,10 +124,11 @@ SAMPLED_TRUTH = Key(
     "sampled-truth", None, Truth, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _LARGE
 )
 """Truth for display: sampled at a rate for the human eye."""
-COVERAGE = Key("coverage", None, CoverageMap, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _LARGE)
+COVERAGE = Key("coverage", None, CoverageMap, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _HUGE)
 GROUND = Key("ground", None, GroundMap, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _HUGE)
 """Hazards, if there are any: their true state, which no vehicle receives, and the vehicles' knowledge."""
-STATUS = Key("status", None, Status, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _LARGE)
+STATUS = Key("status", None, Status, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _HUGE)
+"""With the geometry of a run, whose buildings may have 100,000 corners."""
 
 KEYS: tuple[Key, ...] = (
     UAV_BRIEFING,

@@ -8,18 +8,24 @@ from typing import Any
 import msgspec
 import pytest
 
-from bus.errors import BusError
+from bus.errors import BusError, ScenarioError
 from bus.keys import COVERAGE, GROUND, KEYS, SAMPLED_TRUTH, STATUS, TRUTH, Key
 from bus.messages.base import LONGEST_TEXT, fitted, fitted_lines
+from bus.messages.buildings import MOST_BUILDING_CORNERS, MOST_BUILDINGS, Building
+from bus.messages.telemetry import CoverageMap
 from bus.profiles import PROFILES
 from outrider.running.assumptions import assumption_warnings
 from outrider.running.flying import fly
+from outrider.running.parent import Output
 from outrider.running.summary import summarize
 from processes import wait_until
+from refusals import refused
 from sim.scenario.loading import load_scenario, scenario_names
+from sim.scene.known import geometry_of
 from sim.server.flight import Flight
 from sim.server.telemetry import Telemetry
 from staging import stage
+from statuses import a_status
 
 TELEMETRY = (TRUTH, SAMPLED_TRUTH, COVERAGE, STATUS, GROUND)
 
@@ -172,3 +178,18 @@ def test_no_error_of_an_outbox_reaches_the_flight(fault: Exception) -> None:
         telemetry.refresh(at_once=True)
     assert dict(telemetry.faults) == {"truth": 3, "sampled-truth": 4, "status": 4, "coverage": 4}
     assert len(events) == 4
+
+
+def test_largest_map_and_town_fit_their_messages() -> None:
+    cells = CoverageMap(tick=0, columns=2000, rows=2000, cell=0.1, cells=bytes(4_000_000))
+    corners = tuple((1.0 / (3 + k), 1e-5 / (3 + k)) for k in range(MOST_BUILDING_CORNERS))
+    town = (Building(polygon=corners, height=1.0 / 3.0),) * MOST_BUILDINGS
+    geometry = geometry_of(load_scenario("town"), town)
+    for key, message in ((COVERAGE, cells), (STATUS, a_status(geometry=geometry))):
+        Reader(key).send(message)
+
+
+@pytest.mark.parametrize("option", ["folder", "record"])
+def test_output_without_an_encoding_is_refused(option: str) -> None:
+    with refused(ScenarioError, "not UTF-8"):
+        Output(**{option: "runs/\udcff"})

@@ -10,7 +10,9 @@ import time
 import msgspec
 
 from bus.credentials import Credential, CredentialSet
+from bus.errors import ScenarioError
 from bus.messages.scenario import Law
+from sim.input.faults import one_line
 
 _PATIENCE = 10.0
 """Longest time for closing sessions and files after the parent has exited [s]."""
@@ -25,6 +27,13 @@ class Output(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """True: draw the picture."""
     record: str = ""
     """MCAP file that records every tick; empty: none."""
+
+    def __post_init__(self) -> None:
+        for option, path in (("--out", self.folder), ("--record", self.record)):
+            if path != path.encode(errors="replace").decode():
+                raise ScenarioError(
+                    f"{option} {one_line(path)}: the name is not UTF-8; allowed: UTF-8"
+                )
 
 
 class Start(msgspec.Struct, kw_only=True, omit_defaults=True):
