@@ -50,6 +50,34 @@ def read_regular(path: Path, most: int) -> bytes:
     return content
 
 
+def create_unused(path: Path, *, folder: bool = False) -> Path:
+    """Create an empty file or folder that no other process has; a name in use gets `-2`, `-3`, and so on.
+
+    Args:
+        path: Wanted path; missing parents of a folder are created.
+        folder: True: create a folder.
+
+    Returns:
+        The created path.
+
+    Raises:
+        OSError: If it cannot be created.
+    """
+    suffix = "" if folder else path.suffix
+    stem, made, number = path.name.removesuffix(suffix), path, 1
+    while True:
+        try:
+            if folder:
+                made.mkdir(parents=True)
+            else:
+                made.touch(exist_ok=False)
+        except FileExistsError:
+            number += 1
+            made = path.with_name(f"{stem}-{number}{suffix}")
+        else:
+            return made
+
+
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
     """Add the file's name to an error raised while writing it: a full disk reports none."""

@@ -5,7 +5,7 @@ import importlib
 import json
 import sys
 import tomllib
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from pkgutil import resolve_name
 from unittest.mock import create_autospec
@@ -29,6 +29,7 @@ from outrider.running.resolve import resolve
 from outrider.running.summary import summarize
 from outrider.running.user_code import foreign_code
 from outrider.view.flight_picture import flight_figure
+from outrider.view.output import output_folder
 from processes import ran
 from sim.scenario.checks import scenario_warnings
 from sim.scenario.loading import load_scenario, scenario_names, schema_text, shipped_text
@@ -81,6 +82,15 @@ def test_failed_run_leaves_no_new_empty_folder(here, command):
         assert command(*own, *out).returncode == 2
     there = [name for name in ("mine", "runs", "deep") if (here / name).exists()]
     assert there == ["mine"]
+
+
+def test_runs_of_the_same_second_get_folders_of_their_own(here):
+    with ExitStack() as stack:
+        folders = [stack.enter_context(output_folder(None, "escort")) for _ in range(5)]
+        assert len(set(folders)) == 5
+        assert all(folder.is_dir() for folder in folders)
+        (folders[2] / "summary.json").write_text("{}")
+    assert list((here / "runs").iterdir()) == [folders[2].absolute()]
 
 
 def test_brackets_in_a_path_are_no_markup(tmp_path, command):

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from bus.files import writing
+from bus.files import create_unused, writing
 from outrider.running.warming import warm_up_flight
 from outrider_falsify.attacks import AttackTally, again, run_attack
 from outrider_falsify.attacks import warm as warm_attack
@@ -221,15 +221,6 @@ def _attack(
         )
 
 
-def free_path(law: str) -> Path:
-    """Return an unused file name for a counterexample."""
-    path, taken = Path(f"counterexample-{law}.toml"), 1
-    while path.exists():
-        taken += 1
-        path = Path(f"counterexample-{law}-{taken}.toml")
-    return path
-
-
 def save(found: SearchResult) -> None:
     """Simulate the worst violation again, describe it, and save it as a scenario.
 
@@ -243,7 +234,7 @@ def save(found: SearchResult) -> None:
         return
     scenario, flight, _ = flown(found.flights.elite[0][0], wanted.base, wanted.limits)
     found.description, found.sha256 = describe(scenario, flight), flight.recorder.sha256()
-    path = wanted.out or free_path(scenario.law.name)
+    path = wanted.out or create_unused(Path(f"counterexample-{scenario.law.name}.toml"))
     title = (
         f"The law {scenario.law.name} loses sight: found by outrider falsify, seed {wanted.seed}"
     )

@@ -1,6 +1,7 @@
 """`outrider run`: flight of a scenario, in several processes or in one."""
 
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -82,7 +83,7 @@ def command(
     from outrider.running.parent import Output
     from outrider.running.resolve import resolve
     from outrider.running.user_code import check_code, check_own_functions
-    from outrider.view.output import default_folder, making
+    from outrider.view.output import output_folder
     from sim.scenario.checks import scenario_warnings
 
     asked, beside = realtime, tuple(parse_companion(text) for text in companions or ())
@@ -106,9 +107,9 @@ def command(
     print_warnings((*scenario_warnings(flown), *check_own_functions(flown)))
     if record is not None:
         import outrider.recording.writer  # noqa: F401 - report a missing extra here, not in a child
-    folder = (out or default_folder(flown.name)) if files else None
-    output = Output(folder=str(folder or ""), picture=picture, record=str(record or ""))
-    with making(folder), stop_on_signals() as stop:
+    place = output_folder(out, flown.name) if files else nullcontext()
+    with place as folder, stop_on_signals() as stop:
+        output = Output(folder=str(folder or ""), picture=picture, record=str(record or ""))
         if in_process:
             outcome = _fly_here(flown, run_secret, folder, picture, record, stop)
         else:

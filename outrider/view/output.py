@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from bus.files import write_whole, writing
+from bus.files import create_unused, write_whole, writing
 from outrider.running.summary import Summary
 from sim.scenario.resolved import as_toml
 
@@ -24,30 +24,28 @@ SCENARIO = "scenario.toml"
 """Scenario that was flown, with all options applied."""
 
 
-def default_folder(scenario: str) -> Path:
-    """Return an unused folder, named by time and scenario."""
-    stamp = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
-    folder = Path("runs") / f"{stamp}-{scenario or 'scenario'}"
-    taken = 1
-    while folder.exists():
-        taken += 1
-        folder = Path("runs") / f"{stamp}-{scenario or 'scenario'}-{taken}"
-    return folder
-
-
 @contextmanager
-def making(folder: Path | None) -> Iterator[None]:
-    """Make a folder before the flight, so that a failure shows early; remove it afterwards if it is empty.
+def output_folder(given: Path | None, scenario: str) -> Iterator[Path]:
+    """Create the folder of a run before the flight, so that a failure shows early; remove it afterwards if it is empty.
+
+    Args:
+        given: The user's folder; None: a new one in `runs`, named by time and scenario.
+        scenario: Name of the scenario.
 
     Raises:
-        OSError: If the folder cannot be made.
+        OSError: If the folder cannot be created.
     """
-    wanted = [] if folder is None else [folder, *folder.parents]
-    new = [one for one in wanted if not one.exists()]
-    if folder is not None:
+    stamp = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
+    wanted = given or Path("runs") / f"{stamp}-{scenario or 'scenario'}"
+    new = [one for one in (wanted, *wanted.parents) if not one.exists()]
+    if given is None:
+        folder = create_unused(wanted, folder=True)
+        new = [folder, *(one for one in new if one != wanted)]
+    else:
+        folder = given
         folder.mkdir(parents=True, exist_ok=True)
     try:
-        yield
+        yield folder
     finally:
         with suppress(OSError):  # folders with content stay
             for one in new:
