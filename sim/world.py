@@ -20,6 +20,7 @@ from sim.compiling.records import RecordArray
 from sim.engine.batch import Batch
 from sim.engine.ground_state import CONSTANTS, GroundState
 from sim.engine.mission import mission_of, receive_block, record_claim
+from sim.engine.run_keys import check_seed
 from sim.engine.world_state import BatchState, BatchTables
 from sim.engine.world_tick import measure
 from sim.models.ground import (
@@ -46,13 +47,16 @@ class World:
         scenario: Scenario of the run.
         seed: Seed of all random numbers, together with the secret.
         secret: Secret of the run, as `sim.engine.run_keys.check_secret` returns it; empty: none.
+
+    Raises:
+        ValueError: If the seed is not a whole number from 0 to 2**53 - 1.
     """
 
     def __init__(self, scenario: Scenario, seed: int, *, secret: str = "") -> None:
         carried = (LinkKind.OPERATOR, LinkKind.RADIO)
         batch = Batch(scenario, 1, threads=1, secret=secret, others=carried)
         batch.begin((seed,))
-        self._show(batch, 0, seed)
+        self._show(batch, 0, check_seed(seed))
 
     @classmethod
     def of_batch(cls, batch: Batch, number: int, seed: int) -> Self:

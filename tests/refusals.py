@@ -38,7 +38,9 @@ def written(folder: Path, content: bytes) -> Path:
 
 
 @contextmanager
-def refused(kind: type[Exception], words: str) -> Iterator["pytest.ExceptionInfo[Exception]"]:
+def refused(
+    kind: type[Exception] | tuple[type[Exception], ...], words: str
+) -> Iterator["pytest.ExceptionInfo[Exception]"]:
     """Expect an error of this kind whose single line matches these words."""
     with pytest.raises(kind, match=words) as caught:
         yield caught

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 import gymnasium
+import msgspec
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
@@ -19,11 +20,19 @@ from gymnasium.wrappers import (
     RescaleObservation,
 )
 
+import outrider
 from bus.errors import ScenarioError
+from bus.messages.control import Control
+from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.parallel import parallel_env
 from outrider.envs.single import single_env
 from outrider.envs.vector import parallel_vector_env, vector_env
+from outrider_learning.suite.scoring import evaluate
+from outrider_learning.suite.tasks import suite
 from refusals import refused
+from sim.scenario.loading import load_scenario
+from sim.server.flight import Flight
+from sim.world import World
 from worlds import FREE, SCENARIO, equal, random_actions
 
 MAKERS: dict[str, Callable[..., Any]] = {
@@ -35,6 +44,7 @@ MAKERS: dict[str, Callable[..., Any]] = {
 EVERY, ALL, OF_ONE_AGENT = tuple(MAKERS), ("parallel", "single", "vector"), ("single", "vector")
 OF_MANY = ("vector", "parallel vector")
 GOOD = np.array([0.1, 0.05])
+TASK = suite()[0]
 
 
 def step(env: Any, action: Any = GOOD) -> Any:
@@ -143,6 +153,36 @@ def test_a_bad_seed_is_refused_and_the_episode_goes_on(names: tuple[str, ...], s
         with refused(ValueError, "seed"):
             env.reset(seed=seed)
         assert equal(step(env), step(expected))
+
+
+def _begin_loop(seed: Any) -> None:
+    ClosedLoop(SCENARIO, 2).begin([1, seed])
+
+
+SEEDED: dict[str, Callable[[Any], Any]] = {
+    "run": lambda seed: outrider.run(SCENARIO, seed=seed),
+    "flight": lambda seed: Flight(SCENARIO, seed),
+    "world": lambda seed: World(SCENARIO, seed),
+    "loop": _begin_loop,
+    "suite": lambda seed: evaluate(TASK, "tracking", seeds=[seed]),
+    "control": lambda seed: msgspec.convert({"action": "reset", "seed": seed}, Control),
+    "scenario": lambda seed: load_scenario("escort", overrides={"seed": seed}),
+    "field": lambda seed: outrider.run(msgspec.structs.replace(SCENARIO, seed=seed)),
+}
+
+
+@pytest.mark.parametrize("name", SEEDED)
+@pytest.mark.parametrize("seed", [-1, 3.5, 2**53, 2**64, "1"])
+def test_every_entry_point_refuses_a_bad_seed(name: str, seed: Any) -> None:
+    with refused((ValueError, ScenarioError), "seed"):
+        SEEDED[name](seed)
+
+
+@pytest.mark.parametrize("seed", [np.int64(3), np.uint8(3)])
+def test_a_run_accepts_whole_numbers_of_numpy(seed: Any) -> None:
+    summary = outrider.run(SCENARIO, seed=seed)
+    assert summary.trajectory_sha256 == outrider.run(SCENARIO, seed=3).trajectory_sha256
+    assert msgspec.json.decode(msgspec.json.encode(summary))["seed"] == 3
 
 
 REFUSALS: dict[type[Exception], list[tuple[Any, dict[str, Any], str]]] = {

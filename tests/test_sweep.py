@@ -382,6 +382,7 @@ def test_invalid_sweep_is_refused_in_one_line(given, phrase):
         ("vary.dt = 0.1", "vary.dt = 0.1: not a list"),
         ("laws = []", "laws = []"),
         ("seeds = 0", "seeds = 0"),
+        (f"first_seed = {2**53 - 1}\nseeds = 2", "first_seed = 9007199254740991"),
         ("vary.dt = [1]\n[[block]]\nvary.command_timeout = [1]", "either [vary] or [[block]]"),
         ("[[block]]\nvary.dt = [0.1]\n[[block]]\nvary.dt = [0.05]", "block.1.name"),
         ("laws = [", "not TOML"),

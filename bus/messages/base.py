@@ -20,6 +20,13 @@ Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
 Tick = Annotated[int, Meta(ge=0, le=2**53)]
 
 
+MAX_SEED = 2**53 - 1
+"""Largest seed of a run."""
+
+
+Seed = Annotated[int, Meta(ge=0, le=MAX_SEED)]
+
+
 Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,31}$(?!\n)")]
 
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from bus.messages.base import Message, Name, Text, Tick
+from bus.messages.base import Message, Name, Seed, Text, Tick
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Law
 
@@ -32,7 +32,7 @@ class Control(Message, frozen=True, kw_only=True):
     """STEP: number of ticks."""
     factor: Annotated[float, Meta(ge=1e-3, le=1e4)] | None = None
     """SPEED: simulated seconds per second of wall time [1]; None: lockstep, as fast as possible."""
-    seed: Tick | None = None
+    seed: Seed | None = None
     """RESET: seed of the new flight; None: the same seed."""
     law: Law | None = None
     """LAW: new control law of the UAVs."""

@@ -10,6 +10,7 @@ from bus.messages.base import (
     Name,
     NonNegative,
     Positive,
+    Seed,
     Share,
     Text,
     Tick,
@@ -227,7 +228,7 @@ class Status(Message, frozen=True, kw_only=True):
 
     scenario: Text
     """Name of the scenario."""
-    seed: int
+    seed: Seed
     """Seed of the flight."""
     tick: Tick
     """Number of the tick."""

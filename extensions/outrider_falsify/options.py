@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from bus.messages.base import MAX_SEED
+
 FLIGHT, ATTACK = 60.0, 200.0
 """Default durations of a run [s]."""
 DEFAULTS = {"delay": 1.0, "loss": 0.3, "blackout": 5.0, "command_delay": 0.5}
@@ -57,7 +59,7 @@ Duration = Annotated[
         help=f"Set the duration of a run [s]; default: {FLIGHT:g}, attack {ATTACK:g}.", min=0.05
     ),
 ]
-Seed = Annotated[int, typer.Option(help="Set the seed of the search.", min=0, max=2**53 - 1)]
+Seed = Annotated[int, typer.Option(help="Set the seed of the search.", min=0, max=MAX_SEED)]
 Jobs = Annotated[
     int | None,
     typer.Option(

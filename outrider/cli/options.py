@@ -11,6 +11,7 @@ import typer
 from bus.errors import AccessDenied, ScenarioError
 from bus.keys import OPERATOR_NAME, Party, Role, check_run_name
 from bus.locator import check_endpoint
+from bus.messages.base import MAX_SEED
 from bus.profiles import PROFILES
 from bus.registry import (
     DRIVERS,
@@ -27,7 +28,7 @@ ScenarioName = Annotated[str, typer.Argument(help="Name of a shipped scenario, o
 Seed = Annotated[
     int | None,
     typer.Option(
-        help="Set the seed of all random numbers; default: the scenario's.", min=0, max=2**53 - 1
+        help="Set the seed of all random numbers; default: the scenario's.", min=0, max=MAX_SEED
     ),
 ]
 Secret = Annotated[

@@ -11,6 +11,7 @@ import typer
 from bus.credentials import Credential, CredentialSet, read_credentials
 from bus.joining import open_session
 from bus.keys import SIMULATOR_NAME, Party, Role
+from bus.messages.base import MAX_SEED
 from outrider.cli import options
 from outrider.cli.console import (
     ERR,
@@ -57,7 +58,7 @@ ServedSeed = Annotated[
     typer.Option(
         help="Set the seed of all random numbers; default: the scenario's.",
         min=0,
-        max=2**53 - 1,
+        max=MAX_SEED,
         envvar="OUTRIDER_SEED",
     ),
 ]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bus.messages.base import MAX_SEED
 from bus.plugins import require
 from outrider.cli.console import ERR, OUT, print_json, print_warnings, runs_bar
 from outrider.cli.options import AllowCode, Duration, Json, Set
@@ -41,7 +42,7 @@ Seeds = Annotated[
     typer.Option(help="Fly each point with this many seeds.", min=1, max=1_000_000),
 ]
 FirstSeed = Annotated[
-    int | None, typer.Option(help="Set the first seed; default: 0.", min=0, max=2**52)
+    int | None, typer.Option(help="Set the first seed; default: 0.", min=0, max=MAX_SEED)
 ]
 Out = Annotated[
     Path | None,

@@ -14,7 +14,7 @@ import msgspec
 from msgspec import Meta
 
 from bus.errors import ScenarioError
-from bus.messages.base import Message, Name, NonNegative, Text, Tick, Vector
+from bus.messages.base import Message, Name, NonNegative, Seed, Text, Tick, Vector
 from bus.messages.control import Change
 from bus.messages.ground import GroundMap
 from bus.messages.telemetry import CoverageMap, Status, Truth
@@ -47,7 +47,7 @@ class Head(Message, frozen=True, kw_only=True):
     """Time of the flight's tick 0 on the file's clock [s]."""
     name: Text
     """Name of the scenario."""
-    seed: Tick
+    seed: Seed
     secret: str = ""
     """Secret of the run; empty: none, or unknown to the observer."""
     platform: dict[str, str]

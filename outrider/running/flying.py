@@ -106,7 +106,8 @@ def fly(
         The flight with its record, and its summary.
     """
     flight = Flight(scenario, seed, secret=secret)
-    exchange = InProcess(make_pilots(scenario, seed, secret=secret, weighting=weighting, path=path))
+    pilots = make_pilots(scenario, flight.seed, secret=secret, weighting=weighting, path=path)
+    exchange = InProcess(pilots)
     started = time.perf_counter()
     flight.fly(exchange, on_tick=None if on_tick is None else lambda: on_tick(flight))
     return flight, summarize(flight, seconds=time.perf_counter() - started)
@@ -129,7 +130,7 @@ def run(
 
     Raises:
         ScenarioError: If the scenario cannot be flown.
-        ValueError: If the secret is invalid.
+        ValueError: If the seed or the secret is invalid.
     """
     flown = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     check_code(flown, source=scenario, allowed=allow_code or isinstance(scenario, Scenario))

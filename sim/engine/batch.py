@@ -19,7 +19,7 @@ from sim.compiling.compile import IntArray, released
 from sim.compiling.threads import WorkerThreads
 from sim.engine.briefing import safety_parameters, ugv_carries, ugv_delay
 from sim.engine.ground_state import CONSTANTS, GroundState, ground_of
-from sim.engine.run_keys import derive_keys
+from sim.engine.run_keys import check_seed, derive_keys
 from sim.engine.scenario_links import ENGINE_LINKS, key_rows, links_of, vehicles_with
 from sim.engine.space_state import town_of
 from sim.engine.world_state import (
@@ -175,15 +175,18 @@ class Batch:
 
         Returns:
             Indices of the worlds.
+
+        Raises:
+            ValueError: If the number of seeds is wrong, or one is not a whole number from 0 to 2**53 - 1.
         """
         which = np.arange(self.worlds) if worlds is None else np.asarray(worlds, dtype=np.int64)
-        given = np.asarray(seeds, dtype=np.int64)
+        given = [check_seed(seed) for seed in seeds]
         if self.link_table is not self.scenario.links:
             raise ValueError("worlds cannot be restarted: their links have been changed")
-        if given.shape != which.shape:
-            raise ValueError(f"{given.size} seeds for {which.size} worlds")
+        if len(given) != which.size:
+            raise ValueError(f"{len(given)} seeds for {which.size} worlds")
         self.fresh.restore(which)
-        keys = derive_keys(given.tolist(), len(self.scenario.vehicles), self._secret)
+        keys = derive_keys(given, len(self.scenario.vehicles), self._secret)
         self.state.vehicles["keys"][which] = keys.swapaxes(1, 2)
         purposes, vehicles = self._key_rows
         self.links.records["key"][which] = keys[:, purposes, vehicles]

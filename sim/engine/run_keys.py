@@ -7,6 +7,7 @@ is equivalent to a random number of 128 bits. Without a secret, the seed is the 
 be found from one key, or from enough of its random numbers, by trying all seeds.
 """
 
+import operator
 import re
 import secrets
 import struct
@@ -15,12 +16,30 @@ from hashlib import blake2b
 
 import numpy as np
 
+from bus.messages.base import MAX_SEED
 from sim.models.randomness import RUN_PURPOSES, WordArray
 
 _DIGITS = (32, 128)
 """Minimum and maximum hexadecimal digits of a secret: 128 bits, and BLAKE2b's largest key."""
 _PERSON = b"outrider"
 _SEED, _PLACE = struct.Struct("<Q"), struct.Struct("<II")
+
+
+def check_seed(seed: int) -> int:
+    """Check a seed and return it as an `int`; NumPy's whole numbers are allowed.
+
+    Raises:
+        ValueError: If it is not a whole number from 0 to 2**53 - 1.
+    """
+    try:
+        whole = operator.index(seed)
+    except TypeError:
+        whole = -1
+    if not 0 <= whole <= MAX_SEED:
+        raise ValueError(
+            f"seed = {seed!r}: not a seed; allowed: a whole number from 0 to 2**53 - 1"
+        )
+    return whole
 
 
 def new_secret() -> str:
@@ -65,7 +84,7 @@ def derive_keys(seeds: Iterable[int], vehicles: int, secret: str = "") -> WordAr
     """Derive the keys of runs with different seeds.
 
     Args:
-        seeds: Seed of each run, from 0 to 2**53 - 1.
+        seeds: Seed of each run, as `check_seed` returns it.
         vehicles: Number of vehicles in each run.
         secret: Common secret, as `check_secret` returns it.
 

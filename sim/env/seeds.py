@@ -1,8 +1,8 @@
 """Seeds of episodes."""
 
-import operator
-
 import numpy as np
+
+from sim.engine.run_keys import check_seed
 
 
 class Seeds:
@@ -10,12 +10,15 @@ class Seeds:
 
     Args:
         first: Seed of the first episode, if `reset` gives none.
+
+    Raises:
+        ValueError: If the seed is not a whole number from 0 to 2**53 - 1.
     """
 
     def __init__(self, first: int) -> None:
-        self.current = first
+        self.current = check_seed(first)
         """Seed of this episode."""
-        self._given, self._since, self._started = first, 0, False
+        self._given, self._since, self._started = self.current, 0, False
 
     @staticmethod
     def check(seed: int | None) -> None:
@@ -25,7 +28,7 @@ class Seeds:
             ValueError: If it is not a whole number from 0 to 2**53 - 1, nor None.
         """
         if seed is not None:
-            _checked(seed)
+            check_seed(seed)
 
     def begin(self, seed: int | None) -> None:
         """Start the next episode.
@@ -36,22 +39,10 @@ class Seeds:
             ValueError: If the seed is not a whole number from 0 to 2**53 - 1.
         """
         if seed is not None:
-            self.current, self._since = _checked(seed), 0
+            self.current, self._since = check_seed(seed), 0
             self._given = self.current
         elif self._started:
             self._since += 1
             words = np.random.SeedSequence((self._given, self._since)).generate_state(1, np.uint64)
             self.current = int(words[0]) >> 11
         self._started = True
-
-
-def _checked(seed: int) -> int:
-    try:
-        whole = operator.index(seed)
-    except TypeError:
-        whole = -1
-    if not 0 <= whole < 2**53:
-        raise ValueError(
-            f"seed = {seed!r}: not a seed; allowed: a whole number from 0 to 2**53 - 1"
-        )
-    return whole

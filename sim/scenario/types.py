@@ -10,7 +10,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from bus.messages.base import Line, Name, NonNegative, Positive, Share, Text, Vector
+from bus.messages.base import Line, Name, NonNegative, Positive, Seed, Share, Text, Vector
 from bus.messages.buildings import MOST_BUILDINGS, Altitude, AltitudeLimits, Building, Camera
 from bus.messages.ground import DEFAULT_SHARE, Hazard
 from bus.messages.links import LinkKind, LinkSettings
@@ -268,7 +268,7 @@ class Scenario(Table, frozen=True, kw_only=True):
     """Name; default: the file's name without its suffix."""
     title: Line = ""
     """Title in one line."""
-    seed: Annotated[int, Meta(ge=0, le=2**53 - 1)] = 0
+    seed: Seed = 0
     """Seed of all random numbers."""
     duration: Positive = 160.0
     """Duration [s], a whole number of ticks."""

@@ -26,6 +26,7 @@ from bus.messages.vehicle import (
 )
 from sim.compiling.compile import FloatArray
 from sim.engine.briefing import clearance_notice
+from sim.engine.run_keys import check_seed
 from sim.scenario.types import NO_UAV, Scenario, Uav
 from sim.server.answers import Answers
 from sim.server.perception import News, Perception, UavPerception, UgvPerception
@@ -88,7 +89,7 @@ class Flight:
         on_notice: Callable[[str], None] = _LOG.warning,
     ) -> None:
         self.scenario = scenario
-        self.seed = seed
+        self.seed = check_seed(seed)
         self.secret = secret
         self.episode = episode
         self.law = scenario.law

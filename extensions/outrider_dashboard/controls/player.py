@@ -7,9 +7,10 @@ from typing import Any
 from nicegui import ui
 from nicegui.events import GenericEventArguments
 
+from bus.messages.base import MAX_SEED
 from bus.registry import DRIVERS, LAWS
 from outrider_dashboard.controls.links_card import RECORDING, LinkForm
-from outrider_dashboard.controls.run_card import HIGHEST_SEED, choose, factor_of, position_of
+from outrider_dashboard.controls.run_card import choose, factor_of, position_of
 from outrider_dashboard.controls.widgets import (
     button,
     card,
@@ -96,7 +97,7 @@ class Player:
             self._seed = number(
                 "Seed",
                 low=0,
-                high=HIGHEST_SEED,
+                high=MAX_SEED,
                 meaning=meaning,
                 needed=False,
                 props="disable",

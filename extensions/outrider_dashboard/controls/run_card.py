@@ -6,6 +6,7 @@ import time
 import msgspec
 from nicegui import ui
 
+from bus.messages.base import MAX_SEED
 from bus.messages.control import Action, Control
 from bus.messages.scenario import Law
 from bus.messages.telemetry import Status
@@ -27,7 +28,6 @@ from outrider_dashboard.hub import Hub
 _PATIENCE = 2.0
 """Time for which a control shows the user's choice before it shows the simulator's state again [s]."""
 
-HIGHEST_SEED = 2**53 - 1
 _STICK = """<div id="stick" aria-label="Joystick" role="slider" aria-valuetext="centered"><i></i></div>
 <div class="hints">
 <div id="who"></div><div><kbd>&larr;</kbd><kbd>&uarr;</kbd><kbd>&darr;</kbd><kbd>&rarr;</kbd> or
@@ -67,7 +67,7 @@ class Controls:
             self._seed = number(
                 "Seed",
                 low=0,
-                high=HIGHEST_SEED,
+                high=MAX_SEED,
                 whole=True,
                 needed=False,
                 meaning="Seed of the run after a reset; empty: the same seed",

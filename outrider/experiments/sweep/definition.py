@@ -10,13 +10,11 @@ import msgspec
 from msgspec import Meta
 
 from bus.errors import ScenarioError
-from bus.messages.base import Line, Text
+from bus.messages.base import MAX_SEED, Line, Seed, Text
 from sim.input.faults import Fault, one_line
 from sim.input.overrides import parse_override
 from sim.input.reading import parse_toml, typed
 from sim.scenario.loading import read_toml, scenario_names
-
-Seed = Annotated[int, Meta(ge=0, le=2**53 - 1)]
 
 _VARY_EXAMPLE = "field=value,value, such as links.detections.delay=0,0.5,1"
 _OWN = {"seed": "--seeds, in a file seeds", "law.name": "--law, in a file laws"}
@@ -106,6 +104,10 @@ def checked(sweep: Sweep, *, file: str) -> Sweep:
         raise Fault(
             "vary", sweep.vary, "used together with [[block]]", "either [vary] or [[block]]"
         ).error(file)
+    last = sweep.first_seed + sweep.seeds - 1
+    if last > MAX_SEED:
+        allowed = f"at most {MAX_SEED - sweep.seeds + 1}, as the last seed is at most 2**53 - 1"
+        raise Fault("first_seed", sweep.first_seed, "too large for the seeds", allowed).error(file)
     laws = sweep.laws or ()
     if len(set(laws)) < len(laws):
         raise Fault("laws", list(laws), "a repeated law", "each law once").error(file)
