@@ -10,10 +10,12 @@ import numpy as np
 from bus.errors import ScenarioError
 from bus.messages.vehicle import UavBriefing
 from bus.observations import UAV
+from outrider_learning.bounds import MOST_TICKS, SMALLEST, positive, row, whole
 from outrider_learning.mlp import Mlp, load_policy
 from outrider_learning.policy_inputs import EscortView
 from sim.engine.briefing import uav_briefing
 from sim.env.observation import AgentObservation, Array
+from sim.env.patch import MOST_PIXELS
 from sim.scenario.types import Scenario
 
 
@@ -46,15 +48,20 @@ def make_view(recipe: Mapping[str, Any]) -> EscortView:
     """Return the transformation that a recipe describes, for one environment.
 
     Raises:
-        ValueError: If the recipe is incomplete.
+        ValueError: If the recipe is incomplete, or one of its numbers is out of bounds.
     """
     try:
-        pixel = float(recipe["coverage_patch"][1])
-        return EscortView(step=recipe["repeat"] * recipe["dt"], pixel=pixel, **recipe["view"])
-    except (KeyError, IndexError, TypeError) as error:
+        ticks = whole("repeat", recipe["repeat"], MOST_TICKS)
+        step = ticks * positive("dt", recipe["dt"])
+        pixels, pixel = row("coverage_patch", recipe["coverage_patch"], SMALLEST, least=2, most=2)
+        whole("coverage_patch", int(pixels) if pixels % 1.0 == 0.0 else pixels, MOST_PIXELS)
+        return EscortView(step=step, pixel=float(pixel), **recipe["view"])
+    except (KeyError, TypeError) as error:
         raise ValueError(
             f"recipe: {type(error).__name__}: {error}; allowed: a recipe of examples/train_uav.py"
         ) from error
+    except ValueError as error:
+        raise ValueError(f"recipe: {error}") from error
 
 
 class LearnedPolicy:
@@ -83,16 +90,6 @@ class LearnedPolicy:
                 f"network: {inputs} inputs, {outputs} outputs; the recipe needs {self._view.size} inputs, 2 outputs"
             )
         pixels, meters = recipe["coverage_patch"]
-        for name, value, whole in (
-            ("repeat", recipe["repeat"], True),
-            ("coverage_patch", pixels, True),
-            ("coverage_patch", meters, False),
-            ("dt", recipe["dt"], False),
-            ("view.lag", recipe["view"]["lag"], True),
-        ):
-            allowed, kind = (int, "whole number") if whole else (int | float, "number")
-            if not (isinstance(value, allowed) and 0 < value < math.inf):
-                raise ValueError(f"recipe: {name} = {value!r}; allowed: a positive {kind}")
         self.setup: dict[str, Any] = {
             "estimate": True,
             "coverage_patch": (int(pixels), float(meters)),

@@ -7,6 +7,7 @@ import numpy as np
 from gymnasium import spaces
 
 from bus.observations import UAV, by_name, names
+from outrider_learning.bounds import SMALLEST, positive, row, whole
 from outrider_learning.transformation import Mask, Transformation
 from sim.env.observation import AgentObservation, Array
 
@@ -35,6 +36,9 @@ class EscortView(Transformation):
         sectors: Points on each ring.
         lag: Steps between the two estimates.
         scale: Unit of the distance [m].
+
+    Raises:
+        ValueError: If an argument is not positive, or too large.
     """
 
     def __init__(
@@ -48,15 +52,16 @@ class EscortView(Transformation):
         lag: int,
         scale: float = 5.0,
     ) -> None:
-        self._step, self._pixel, self._lag, self._scale = step, pixel, lag, scale
-        self._rings, self._sectors = tuple(rings), sectors
-        angles = 2.0 * np.pi * np.arange(sectors) / sectors
-        radii = np.repeat(np.asarray(rings, dtype=np.float64), sectors)
+        self._step, self._pixel = positive("step", step), positive("pixel", pixel)
+        self._v_max, self._scale = positive("v_max", v_max), positive("scale", scale)
+        self._lag, self._sectors = whole("lag", lag, 1000), whole("sectors", sectors, 1024)
+        self._rings = row("rings", rings, SMALLEST, most=64)
+        angles = 2.0 * np.pi * np.arange(self._sectors) / self._sectors
+        radii = np.repeat(self._rings, self._sectors)
         self._points = (
-            radii * np.tile(np.cos(angles), len(rings)),
-            radii * np.tile(np.sin(angles), len(rings)),
+            radii * np.tile(np.cos(angles), len(self._rings)),
+            radii * np.tile(np.sin(angles), len(self._rings)),
         )
-        self._v_max = v_max
         self._track: Array = np.empty((0, 2))
         self._axis: Array = np.empty((0, 2))
         self._velocity: Array = np.empty((0, 2))
@@ -68,7 +73,7 @@ class EscortView(Transformation):
             "step": self._step,
             "v_max": self._v_max,
             "pixel": self._pixel,
-            "rings": list(self._rings),
+            "rings": self._rings.tolist(),
             "sectors": self._sectors,
             "lag": self._lag,
             "scale": self._scale,

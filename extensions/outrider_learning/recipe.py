@@ -1,12 +1,14 @@
 """Recipe of a policy's observation: settings of the environment and the wrappers around it."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
 from gymnasium import spaces
 
+from bus.messages.base import NonNegative, Positive
+from outrider_learning.bounds import MOST_TICKS, whole
 from outrider_learning.egocentric import Egocentric
 from outrider_learning.policy_inputs import EscortView
 from outrider_learning.repeat import ActionRepeat
@@ -47,14 +49,14 @@ HIGHER = frozenset({"z_max", "w_max"})
 class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Recipe of a policy's observation."""
 
-    extent: dict[str, float]
+    extent: dict[str, NonNegative]
     """Values of the names in `NEEDED` in the training environment, and of those in `HIGHER` with an altitude."""
-    dt: float | None = None
+    dt: Positive | None = None
     """Length of a tick [s]; None if unknown."""
     estimate: bool = False
     gradient: bool = False
     coverage_patch: tuple[int, float] | None = None
-    dtype: str = "float64"
+    dtype: Literal["float32", "float64"] = "float64"
     """Settings of `outrider.vector_env`."""
     layers: tuple[dict[str, Any], ...] = ()
     """Layers from the inside out: `kind` and settings of a transformation, or `repeat` and `ticks`."""
@@ -143,10 +145,14 @@ def _taken_off(env: Any) -> tuple[dict[str, Any] | None, Any]:  # noqa: ANN401
 
 
 class HeldAction:
-    """Action that is repeated for a number of ticks."""
+    """Action that is repeated for a number of ticks.
+
+    Raises:
+        ValueError: If `ticks` is not a whole number from 1 to `MOST_TICKS`.
+    """
 
     def __init__(self, ticks: int) -> None:
-        self.ticks, self.due, self.held = int(ticks), 0, np.zeros((0, 2))
+        self.ticks, self.due, self.held = whole("ticks", ticks, MOST_TICKS), 0, np.zeros((0, 2))
 
 
 def make_layer(layer: Mapping[str, Any]) -> Transformation | HeldAction:

@@ -1,10 +1,11 @@
 """Action repeat: fewer, longer steps for the learner."""
 
-import operator
 from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+
+from outrider_learning.bounds import MOST_TICKS, whole
 
 FINAL = ("final_obs", "_final_obs", "final_info", "_final_info")
 """Entries of the infos about finished episodes."""
@@ -21,20 +22,15 @@ class ActionRepeat(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes no ar
         ticks: Ticks per step.
 
     Raises:
-        ValueError: If the mode differs, or `ticks` is not a positive integer.
+        ValueError: If the mode differs, or `ticks` is not a whole number from 1 to `MOST_TICKS`.
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], ticks: int) -> None:
         super().__init__(env)
         if env.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
             raise ValueError(f"{env}: ActionRepeat needs the autoreset mode SAME_STEP")
-        try:
-            self.ticks = operator.index(ticks)
-            """Ticks per step."""
-        except TypeError:
-            self.ticks = 0
-        if self.ticks < 1:
-            raise ValueError(f"ticks = {ticks!r}: not a positive integer")
+        self.ticks = whole("ticks", ticks, MOST_TICKS)
+        """Ticks per step."""
 
     @property
     def autoreset_mode(self) -> AutoresetMode:

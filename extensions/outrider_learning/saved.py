@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from gymnasium import spaces
 
-from bus.errors import ScenarioError
+from bus.errors import ScenarioError, shortened
 from bus.files import read_regular, writing
 from bus.messages.vehicle import UavBriefing
 from bus.observations import ROUNDING, UAV, by_name, largest, names
@@ -281,9 +281,9 @@ def load_sb3_policy(rest: str, where: str) -> SavedPolicy:
                 "outrider_learning.saved.save_sb3_policy"
             ) from None
         recipe = found
-    except (OSError, ValueError) as error:
-        raise ScenarioError(f"{where}: {beside}: {error}") from error
+    except Exception as error:
+        raise ScenarioError(f"{where}: {beside}: {shortened(str(error))}") from error
     try:
         return SavedPolicy(model, recipe)
-    except (ValueError, TypeError) as error:
-        raise ScenarioError(f"{where}: {error}") from error
+    except Exception as error:
+        raise ScenarioError(f"{where}: {beside}: {shortened(str(error))}") from error

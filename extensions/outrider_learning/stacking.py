@@ -1,12 +1,12 @@
 """Stack of the last observations of each world; Gymnasium stacks single environments only."""
 
-import operator
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 
+from outrider_learning.bounds import whole
 from outrider_learning.transformation import Mask, Transformation
 from sim.env.observation import AgentObservation, Array
 
@@ -20,16 +20,11 @@ class Stack(Transformation):
         length: Number of observations.
 
     Raises:
-        ValueError: If `length` is not a positive integer.
+        ValueError: If `length` is not a whole number from 1 to 1000.
     """
 
     def __init__(self, length: int) -> None:
-        try:
-            self._length = operator.index(length)
-        except TypeError:
-            self._length = 0
-        if self._length < 1:
-            raise ValueError(f"length = {length!r}: not a positive integer")
+        self._length = whole("length", length, 1000)
         self._memory: dict[str, Array] = {}
 
     def settings(self) -> dict[str, Any]:

@@ -6,8 +6,11 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from outrider_learning.bounds import LARGEST, positive, row
 from outrider_learning.transformation import Transformation
 from sim.env.observation import AgentObservation, Array
+
+_MOST_ENTRIES = 1 << 20
 
 
 class Standardized(Transformation):
@@ -18,13 +21,20 @@ class Standardized(Transformation):
         variance: Variance of each entry.
         epsilon: Constant added to the variance.
         clip: Largest magnitude of a result.
+
+    Raises:
+        ValueError: If a number is not finite, a variance is negative, or `epsilon` or `clip` is not positive.
     """
 
     def __init__(
         self, *, mean: Sequence[float], variance: Sequence[float], epsilon: float, clip: float
     ) -> None:
-        self._mean, self._variance = np.asarray(mean), np.asarray(variance)
-        self._epsilon, self._clip = epsilon, clip
+        self._mean = row("mean", mean, -LARGEST, most=_MOST_ENTRIES)
+        self._variance = row("variance", variance, 0.0, most=_MOST_ENTRIES)
+        self._epsilon, self._clip = positive("epsilon", epsilon), positive("clip", clip)
+        if len(self._mean) != len(self._variance):
+            lengths = f"{len(self._mean)} and {len(self._variance)}"
+            raise ValueError(f"mean and variance: {lengths} numbers; allowed: equally many")
 
     def settings(self) -> dict[str, Any]:
         """Return the arguments."""

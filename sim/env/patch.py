@@ -11,6 +11,10 @@ class CoveragePatch(NamedTuple):
     meters_per_pixel: float
 
 
+MOST_PIXELS = 1024
+"""Largest number of rows of a coverage picture."""
+
+
 def given_patch(given: CoveragePatch | tuple[int, float] | None) -> CoveragePatch | None:
     """Check the picture that a user requests; None: no picture.
 
@@ -20,9 +24,9 @@ def given_patch(given: CoveragePatch | tuple[int, float] | None) -> CoveragePatc
     if given is None:
         return None
     pixels, size = given
-    if not (1 <= pixels <= 1024 and pixels == int(pixels)):
+    if not (1 <= pixels <= MOST_PIXELS and pixels == int(pixels)):
         raise ValueError(
-            f"coverage_patch: pixels = {pixels!r}; allowed: a whole number from 1 to 1024"
+            f"coverage_patch: pixels = {pixels!r}; allowed: a whole number from 1 to {MOST_PIXELS}"
         )
     if not 0.0 < size < 1e6:
         raise ValueError(

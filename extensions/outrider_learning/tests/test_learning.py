@@ -3,6 +3,7 @@
 import importlib
 import json
 import os
+import random
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -15,10 +16,11 @@ from gymnasium.vector import SyncVectorEnv
 from gymnasium.vector.utils import batch_space
 
 import outrider
+from bus.errors import ScenarioError
 from bus.messages.ground import Hazard
 from outrider.envs.env_pilots import pilots
 from outrider.envs.worlds import Worlds
-from outrider_learning.learned import LearnedPolicy, make_view
+from outrider_learning.learned import LearnedPolicy, load_learned_policy, make_view
 from outrider_learning.mlp import Mlp, load_policy, save_policy
 from outrider_learning.repeat import ActionRepeat
 from outrider_learning.transformation import Transformed
@@ -223,6 +225,14 @@ def _bad_files(folder: Path) -> dict[str, str]:
         "patch": {"coverage_patch": [0, 1.5]},
         "word": {"coverage_patch": ["a", 1.5]},
         "lag": {"view": recipe["view"] | {"lag": 0}},
+        "memory": {"view": recipe["view"] | {"lag": 10**9}},
+        "sectors": {"view": recipe["view"] | {"sectors": 30_000_000}},
+        "rings": {"view": recipe["view"] | {"rings": [1.0] * 10_000}},
+        "scale": {"view": recipe["view"] | {"scale": float("nan")}},
+        "speed": {"view": recipe["view"] | {"v_max": "fast"}},
+        "large": {"coverage_patch": [10**9, 0.1]},
+        "patches": {"coverage_patch": [20, 1.5, 3]},
+        "late": {"dt": 10**400},
     }.items():
         save_policy(folder / f"{name}.npz", network, recipe | change)
     with np.load(POLICY) as archive:
@@ -235,11 +245,19 @@ def _bad_files(folder: Path) -> dict[str, str]:
         "recipe": "recipe: KeyError",
         "view": "the recipe needs 21 inputs, 2 outputs",
         "list": "its recipe is not a table",
-        "repeat": "recipe: repeat = 2.5; allowed: a positive whole number",
-        "tick": "recipe: dt = 0.0; allowed: a positive number",
-        "patch": "recipe: coverage_patch = 0; allowed: a positive whole number",
-        "word": "recipe: coverage_patch = 'a'; allowed: a positive whole number",
-        "lag": "recipe: view.lag = 0; allowed: a positive whole number",
+        "repeat": "recipe: repeat = 2.5; allowed: a whole number from 1",
+        "tick": "recipe: dt = 0.0; allowed: a number from 1e-09",
+        "patch": "recipe: coverage_patch = .*; allowed: 2 numbers from 1e-09",
+        "word": "recipe: coverage_patch = .*; allowed: 2 numbers from 1e-09",
+        "memory": "recipe: lag = 1000000000; allowed",
+        "sectors": "recipe: sectors = 30000000; allowed: a whole number from 1 to 1024",
+        "rings": "recipe: rings = .*; allowed: 1 to 64 numbers",
+        "scale": "recipe: scale = nan; allowed: a number",
+        "speed": "recipe: v_max = 'fast'; allowed: a number",
+        "large": "recipe: coverage_patch = 1000000000; allowed: a whole number from 1 to 1024",
+        "patches": "recipe: coverage_patch",
+        "late": "recipe: dt",
+        "lag": "recipe: lag = 0; allowed: a whole number from 1",
     }
 
 
@@ -248,6 +266,28 @@ def test_a_bad_file_is_refused_in_one_line(tmp_path: Path) -> None:
         with refused(ValueError, reason) as caught:
             LearnedPolicy.load(tmp_path / f"{name}.npz")
         assert f"{name}.npz" in str(caught.value)
+
+
+def test_any_damaged_file_loads_or_is_refused_in_one_line(tmp_path: Path) -> None:
+    whole, file, rng = POLICY.read_bytes(), tmp_path / "damaged.npz", random.Random(1)
+    ends = 1500  # the headers and the directory of the archive matter most
+    refusals: list[str] = []
+    for k in range(1000):
+        damaged = bytearray(whole)
+        if k % 4 == 0:
+            del damaged[rng.randrange(len(whole)) :]
+        for _ in range(rng.choice((1, 4, 16)) if k % 4 else 0):
+            place = rng.choice(
+                (rng.randrange(len(whole)), rng.randrange(ends), -1 - rng.randrange(ends))
+            )
+            damaged[place] ^= 1 << rng.randrange(8)
+        file.write_bytes(damaged)
+        try:
+            load_learned_policy(str(file), "custom.uav_policy")
+        except ScenarioError as error:
+            refusals.append(str(error))
+    assert 900 < len(refusals) < 1000
+    assert all(len(line.splitlines()) == 1 for line in refusals)
 
 
 def test_a_policy_asks_for_the_observations_that_it_needs(evaluation: ModuleType) -> None:
@@ -329,7 +369,7 @@ def test_action_repeat_sums_the_rewards_of_its_ticks(duration: float) -> None:
 
 @pytest.mark.parametrize("ticks", [0, -1, 1.5, None])
 def test_a_repeat_of_no_whole_number_is_refused(ticks: Any) -> None:
-    with pytest.raises(ValueError, match="not a positive integer"):
+    with pytest.raises(ValueError, match="allowed: a whole number from 1"):
         ActionRepeat(outrider.vector_env("escort", num_envs=1, duration=1.0), ticks)
 
 

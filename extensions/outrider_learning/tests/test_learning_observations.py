@@ -262,8 +262,8 @@ def test_what_does_not_fit_is_refused_in_one_line() -> None:
     ):
         with refused(ValueError, "Egocentric needs the row of a UAV or a UGV"):
             Egocentric().space(space)
-    for length in (0, -1, 2.5, None):
-        with refused(ValueError, "length = .*: not a positive integer"):
+    for length in (0, -1, 2.5, None, 10**9):
+        with refused(ValueError, "length = .*; allowed: a whole number from 1"):
             Stack(length)
     for rest in (0.0, -1.0, math.inf):
         with refused(ValueError, "rest = .*; must be positive and finite"):
