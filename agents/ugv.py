@@ -14,7 +14,7 @@ from bus.messages.vehicle import (
     UgvObservation,
     UgvReport,
 )
-from bus.registry import DRIVERS, resolve
+from bus.registry import DRIVERS, maker_of, usable
 
 
 class Driver(Protocol):
@@ -24,11 +24,10 @@ class Driver(Protocol):
         """Return the acceleration [m/s²] for this observation."""
 
 
-_MAKERS: dict[str, Callable[[UgvBriefing], Driver]] = {
-    row.name: resolve(row.make) if row.make else partial(CompiledDriver, name=row.name)
-    for row in DRIVERS.values()
-    if row.provided
-}
+_MAKERS: dict[str, Callable[[UgvBriefing], Driver]] = usable(
+    (row for row in DRIVERS.values() if row.provided),
+    lambda row: maker_of(row) if row.make else partial(CompiledDriver, name=row.name),
+)
 
 
 class UgvPilot:

@@ -40,6 +40,10 @@ class OutriderError(Exception):
     """Base class of all Outrider errors; the message is one line."""
 
 
+class Ended(SystemExit):
+    """Request to end this process, such as SIGTERM; not the `sys.exit` of a package's code."""
+
+
 class ScenarioError(OutriderError):
     """Invalid scenario, to be fixed by its author.
 

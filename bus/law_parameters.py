@@ -1,20 +1,26 @@
 """Conversion of a law's parameters from a message to the class declared in the law's file."""
 
 from collections.abc import Mapping
-from importlib import import_module
 from typing import Any
 
 import msgspec
 
 from bus.errors import ScenarioError
 from bus.messages.scenario import Law, LawNumber
-from bus.registry import LAWS
+from bus.registry import LAWS, module_of, usable
+from bus.rows import LawRow
 
 
 def parameters_class(name: str) -> type[msgspec.Struct] | None:
     """Return the class of a law's parameters; None for a law without a file."""
-    module = LAWS[name].module
-    return import_module(module).Parameters if module else None
+    return _declared(LAWS[name])
+
+
+def _declared(row: LawRow) -> type[msgspec.Struct] | None:
+    if not row.module:
+        return None
+    declared: type[msgspec.Struct] = module_of(row, "Parameters").Parameters
+    return declared
 
 
 def parameter_names(name: str) -> tuple[str, ...]:
@@ -32,7 +38,10 @@ def own_parameters(law: Law) -> Mapping[str, LawNumber]:
 def unknown_parameters(law: Law) -> tuple[str, ...]:
     """Return the given parameters that belong to no law."""
     others = [name for name in law.parameters if name not in parameter_names(law.name)]
-    known = {name for row in LAWS for name in parameter_names(row)} if others else set()
+    if not others:
+        return ()
+    usable(LAWS.values(), _declared)
+    known = {name for row in LAWS for name in parameter_names(row)}
     return tuple(name for name in others if name not in known)
 
 

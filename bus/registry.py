@@ -8,18 +8,35 @@ it as `module:name`.
 `CONTRIBUTING.md` shows how to add a row.
 """
 
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
+from bus import plugins
+from bus.errors import OutriderError
 from bus.plugins import load_all
 from bus.rows import DriverRow, HazardKindRow, LawRow, SensorRow
 
 _Row = TypeVar("_Row", bound="LawRow | DriverRow | SensorRow | HazardKindRow")
+_Kind = TypeVar("_Kind")
+_CodeRow = TypeVar("_CodeRow", bound="LawRow | DriverRow | SensorRow")
 
 
-def _table(*rows: _Row) -> Mapping[str, _Row]:
+class _Added(NamedTuple):
+    """Origin of a row that another package added."""
+
+    group: str
+    entry: str
+    """Name of the entry point."""
+    table: dict[str, Any]
+
+
+_ADDED: dict[LawRow | DriverRow | SensorRow, _Added] = {}
+
+
+def _table(*rows: _Row) -> dict[str, _Row]:
     """Return the rows by name.
 
     Raises:
@@ -28,7 +45,29 @@ def _table(*rows: _Row) -> Mapping[str, _Row]:
     names = [row.name for row in rows]
     if len(set(names)) < len(names):
         raise ValueError(f"names {names}: two rows have the same name")
-    return MappingProxyType({row.name: row for row in rows})
+    return {row.name: row for row in rows}
+
+
+def _extended(group: str, kind: type[_CodeRow], *rows: _CodeRow) -> Mapping[str, _CodeRow]:
+    """Return our rows and those of other packages by name; skip invalid ones, with a warning."""
+    table = _table(*rows)
+    for entry, row in load_all(group, kind).items():
+        fault = _fault(row, table)
+        if fault:
+            plugins.ignore_named(group, entry, fault)
+        else:
+            table[row.name] = row
+            _ADDED[row] = _Added(group, entry, table)
+    return MappingProxyType(table)
+
+
+def _fault(row: LawRow | DriverRow | SensorRow, table: Mapping[str, object]) -> str:
+    """Describe what is wrong with a row of another package; empty if nothing is."""
+    if not re.fullmatch(r"[a-z][a-z0-9_]{0,31}", row.name):
+        return f"name = {row.name!r}: wrong form; allowed: up to 32 of a-z, 0-9 and _, the first a letter"
+    if row.name in table:
+        return f"name = {row.name!r}: the name is taken"
+    return ""
 
 
 def resolve(where: str) -> Any:  # noqa: ANN401 - whatever it is
@@ -37,7 +76,56 @@ def resolve(where: str) -> Any:  # noqa: ANN401 - whatever it is
     return getattr(import_module(module), name)
 
 
-LAWS = _table(
+def module_of(row: LawRow | DriverRow | SensorRow, *needed: str) -> Any:  # noqa: ANN401 - a module
+    """Import the module of a row.
+
+    Args:
+        row: The row.
+        needed: Names that the module must define.
+
+    Raises:
+        OutriderError: If another package added the row, and its module cannot be used.
+    """
+    if row not in _ADDED:
+        return import_module(row.module)
+    with plugins.foreign(row.module):
+        module = import_module(row.module)
+        for name in needed:
+            getattr(module, name)
+        return module
+
+
+def maker_of(row: DriverRow) -> Any:  # noqa: ANN401 - a class
+    """Import the class of a driver's row; see `module_of`."""
+    if row not in _ADDED:
+        return resolve(row.make)
+    with plugins.foreign(row.make):
+        return resolve(row.make)
+
+
+def usable(rows: Iterable[_CodeRow], load: Callable[[_CodeRow], _Kind]) -> dict[str, _Kind]:
+    """Return the code of rows by name; remove a package's row whose code fails from its table, with a warning.
+
+    Args:
+        rows: Rows of one table.
+        load: Function that imports the code of a row, such as `module_of`.
+    """
+    found: dict[str, _Kind] = {}
+    for row in tuple(rows):
+        try:
+            found[row.name] = load(row)
+        except OutriderError as error:
+            if row not in _ADDED:
+                raise
+            group, entry, table = _ADDED.pop(row)
+            del table[row.name]
+            plugins.ignore_named(group, entry, error)
+    return found
+
+
+LAWS = _extended(
+    "laws",
+    LawRow,
     LawRow(
         name="tracking",
         module="agents.laws.tracking",
@@ -129,7 +217,6 @@ LAWS = _table(
         color="#6b4a8f",
         mark="*",
     ),
-    *load_all("laws", LawRow).values(),
 )
 """Laws by name, in the order of tables and reports."""
 DEFAULT_LAW = "logarithmic"
@@ -137,7 +224,9 @@ DEFAULT_LAW = "logarithmic"
 
 TELEOP = "teleop"
 """Driver for teleoperation."""
-DRIVERS = _table(
+DRIVERS = _extended(
+    "drivers",
+    DriverRow,
     DriverRow(
         name="waypoints",
         about="drive from goal to goal",
@@ -183,26 +272,26 @@ DRIVERS = _table(
     ),
     DriverRow(name="policy", about="your own policy (custom.policy)", own="policy"),
     DriverRow(name="external", about="your own process", outside=True),
-    *load_all("drivers", DriverRow).values(),
 )
 """Drivers by name, in the order of help texts."""
 DEFAULT_DRIVER = "waypoints"
 
 
-SENSORS = _table(
+SENSORS = _extended(
+    "sensors",
+    SensorRow,
     SensorRow(name="hill", module="sim.models.sensors.hill", about="the paper's (2)"),
     SensorRow(
         name="plateau",
         module="sim.models.sensors.plateau",
         about="nearly constant quality over most of its disc",
     ),
-    *load_all("sensors", SensorRow).values(),
 )
 """Sensors by name."""
 DEFAULT_SENSOR = "hill"
 
 
-HAZARDS = _table(
+HAZARDS: Mapping[str, HazardKindRow] = _table(
     HazardKindRow(name="rough", code=2, about="ground to drive over slowly", slows=True),
     HazardKindRow(name="block", code=3, about="obstacle, not to be touched", drivable=False),
     HazardKindRow(name="find", code=4, about="object to find"),

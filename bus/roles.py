@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from bus import plugins
-from bus.errors import AccessDenied, ScenarioError
+from bus.errors import AccessDenied, OutriderError, ScenarioError
 from bus.keys import KEYS, PLACES, ROOT, STAFF, Grant, Party, Role, token
 
 RESERVED = (*STAFF, "router", "authority")
@@ -41,9 +41,10 @@ def extension_roles() -> Mapping[str, Roles]:
             *(r.parties for r in found.values())
         )
         try:
-            check_roles(roles, taken)
-        except ValueError as error:
-            plugins.warn(f"outrider.roles: {name!r} is ignored: {error}")
+            with plugins.foreign():
+                check_roles(roles, taken)
+        except OutriderError as error:
+            plugins.ignore_named("roles", name, error)
         else:
             found[name] = roles
     return found

@@ -187,6 +187,88 @@ def test_an_entry_point_that_names_no_row_is_ignored(tmp_path, monkeypatch, caps
     assert "is ignored: my_package.rows:CONE is not a LawRow" in errors
 
 
+BROKEN = {
+    "raises/__init__.py": "raise RuntimeError('no luck')",
+    "exits/__init__.py": "import sys; sys.exit()",
+    "rows.py": """
+from bus.rows import DriverRow, LawRow, SensorRow
+TAKEN = LawRow(name="tracking", about="a built-in name", color="#000000")
+SPACED = DriverRow(name="two words", about="")
+UNTYPED = DriverRow(name="untyped", about=None)
+RAISES = LawRow(name="late", module="late", about="", color="#000000")
+LACKS = SensorRow(name="lacks", module="rows", about="")
+""",
+    "parts.py": "from bus.roles import Roles; ROLES = Roles(parties=None, grants=None)",
+    "late.py": "from sim.compiling.compile import compiled; raise LookupError('no table')",
+}
+BROKEN_POINTS = """
+[project]
+name = "broken"
+[project.entry-points."outrider.commands"]
+raises = "raises.command:command"
+exits = "exits.command:command"
+run = "rows:run"
+"--help" = "rows:run"
+[project.entry-points."outrider.laws"]
+taken = "rows:TAKEN"
+dashed = "my-module:ROW"
+exits = "exits:ROW"
+late = "rows:RAISES"
+[project.entry-points."outrider.drivers"]
+spaced = "rows:SPACED"
+untyped = "rows:UNTYPED"
+[project.entry-points."outrider.sensors"]
+lacks = "rows:LACKS"
+[project.entry-points."outrider.policies"]
+raises = "raises:KIND"
+[project.entry-points."outrider.roles"]
+roles = "parts:ROLES"
+"""
+IGNORED = """
+commands 'raises' RuntimeError: no luck | commands 'exits' SystemExit | commands 'run' Outrider has a command
+commands '--help' not a command's name | laws 'taken' name = 'tracking': the name is taken
+laws 'dashed' 'my-module:ROW' has a wrong form | laws 'exits' SystemExit | drivers 'spaced' name = 'two words'
+laws 'late' late: LookupError: no table | drivers 'untyped' rows:UNTYPED has about = None | sensors 'lacks' rows:
+policies 'raises' RuntimeError: no luck | roles 'roles' 'NoneType' object
+"""
+"""Group and name of each broken entry point, and the key phrase of the reason."""
+USES = """
+import agents.laws.dispatch, agents.drivers.dispatch, sim.models.sensor
+from bus.policies import policy_kinds
+from bus.registry import DRIVERS, LAWS, SENSORS
+from bus.roles import extension_roles
+assert not {"late"} & LAWS.keys() and not {"untyped"} & DRIVERS.keys() and not {"lacks"} & SENSORS.keys()
+assert LAWS["tracking"].module
+assert "roles" not in extension_roles() and "raises" not in policy_kinds("uav")
+import sys
+sys.argv = ["outrider", "--help"]
+from outrider.cli.main import main
+main()
+"""
+
+
+def test_what_is_broken_in_a_package_is_ignored(tmp_path: Path) -> None:
+    install(tmp_path, BROKEN_POINTS)
+    for name, text in BROKEN.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    unnamed = tmp_path / "unnamed-1.0.dist-info"
+    unnamed.mkdir()
+    (unnamed / "entry_points.txt").write_bytes(b"[outrider.laws]\n\xff = a:b\n")
+    done = python(USES, env=with_package(tmp_path))
+    assert "Usage: outrider" in done.stdout
+    assert "raises" not in done.stdout
+    lines = done.stderr.splitlines()
+    assert sum("the metadata of a package without a name is ignored" in line for line in lines) == 1
+    expected = [
+        one.split(maxsplit=2) for one in IGNORED.replace("\n", "|").split("|") if one.strip()
+    ]
+    for group, name, why in expected:
+        start = f"outrider: outrider.{group}: {name} of broken is ignored: {why.strip()}"
+        assert sum(line.startswith(start) for line in lines) == 1, (start, lines)
+    assert len(lines) == len(expected) + 1
+
+
 def test_compile_cache_depends_on_plugin_files_and_names(tmp_path: Path) -> None:
     folder, own = (
         installed_guide(tmp_path / "installed"),

@@ -3,7 +3,6 @@
 Drivers that depend on an operator or on a policy have no compiled form.
 """
 
-from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +28,7 @@ from bus.messages.vehicle import (
     UgvObservation,
     UgvReport,
 )
-from bus.registry import DRIVERS
+from bus.registry import DRIVERS, module_of
 from bus.ticks import first_tick_from, look_rows, looks_of
 from sim.compiling.compile import FloatArray
 from sim.compiling.records import fresh, records, struct_of
@@ -53,7 +52,7 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> Any:  # noqa: ANN40
     if row is None or not row.module:
         allowed = ", ".join(one.name for one in DRIVERS.values() if one.module)
         raise ScenarioError(f"driver = {driver!r}: has no compiled form; allowed: {allowed}")
-    module = import_module(row.module)
+    module = module_of(row)
     make = getattr(module, "parameters", None)
     if make is None:
         return module.Parameters()
@@ -132,7 +131,7 @@ class CompiledDriver:
         self.parameters = driver_parameters(briefing, name)
         """Parameters of the driver, as its file declares them."""
         row = DRIVERS[name]
-        module = import_module(row.module)
+        module = module_of(row)
         memory: Any = fresh(module.Memory)
         if "key_0" in memory.dtype.names:
             memory["key_0"], memory["key_1"] = words_of(briefing.key)

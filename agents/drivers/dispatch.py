@@ -4,7 +4,6 @@ A batch contains all drivers; those that need ground only if its scenario has gr
 """
 
 from collections.abc import Sequence
-from importlib import import_module
 from typing import NamedTuple
 
 import numpy as np
@@ -12,16 +11,19 @@ import numpy as np
 from agents.drivers.compiled import driver_parameters
 from agents.drivers.parameters import DriverInputs, UgvParameters, ugv_parameters
 from bus.messages.vehicle import UgvBriefing
-from bus.registry import DEFAULT_DRIVER, DRIVERS
+from bus.registry import DEFAULT_DRIVER, DRIVERS, module_of, usable
 from sim.compiling.compile import IntArray, compiled
 from sim.compiling.dispatch import commands
 from sim.compiling.records import RecordArray, fill, fresh_nested, nested_type, records
 from sim.models.vehicles import Motion
 
-_ROWS = {row.name: row for row in DRIVERS.values() if row.module}
+_MODULES = usable(
+    (row for row in DRIVERS.values() if row.module),
+    lambda row: module_of(row, "Parameters", "Memory", "command"),
+)
+_ROWS = {name: DRIVERS[name] for name in _MODULES}
 CODES = {name: code for code, name in enumerate(_ROWS)}
 """Index of each compiled driver's file."""
-_MODULES = {name: import_module(row.module) for name, row in _ROWS.items()}
 _driver_command = commands({name: module.command for name, module in _MODULES.items()})
 
 

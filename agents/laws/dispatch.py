@@ -5,7 +5,6 @@ slow ones that are flown.
 """
 
 from collections.abc import Sequence
-from importlib import import_module
 from typing import NamedTuple
 
 import numpy as np
@@ -14,18 +13,22 @@ from agents.uav_parameters import Target, UavParameters, uav_parameters
 from bus.law_parameters import law_parameters
 from bus.messages.scenario import Law
 from bus.messages.vehicle import UavBriefing
-from bus.registry import LAWS
+from bus.registry import LAWS, module_of, usable
 from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.compiling.dispatch import commands
 from sim.compiling.records import RecordArray, fresh_nested, nested_type, records
 from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion, brake, clip_norm
 
-_ROWS = {row.name: row for row in LAWS.values() if row.module and not row.own}
+_USABLE = usable(
+    (row for row in LAWS.values() if row.module and not row.own),
+    lambda row: module_of(row, "Parameters", "Memory", "command"),
+)
+_ROWS = {name: LAWS[name] for name in _USABLE}
 _FILES = tuple(dict.fromkeys(row.module for row in _ROWS.values()))
 CODES = {name: _FILES.index(row.module) for name, row in _ROWS.items()}
 """Index of the file of each law that flies in batches."""
-_MODULES = {file.replace(".", "_"): import_module(file) for file in _FILES}
+_MODULES = {row.module.replace(".", "_"): _USABLE[name] for name, row in _ROWS.items()}
 """Module of each law by the name of its nested record, in the order of its code."""
 _SEPARATE = {CODES[name] for name, row in _ROWS.items() if row.separate}
 _law_command = commands({name: module.command for name, module in _MODULES.items()})

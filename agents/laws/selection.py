@@ -1,6 +1,5 @@
 """Selection of the law that a pilot flies: file, parameters and memory."""
 
-from importlib import import_module
 from typing import Any
 
 from agents.control.visibility import switching_radius
@@ -9,7 +8,7 @@ from bus.errors import ScenarioError
 from bus.law_parameters import law_parameters
 from bus.messages.scenario import Law
 from bus.messages.vehicle import UavBriefing
-from bus.registry import LAWS
+from bus.registry import LAWS, module_of
 from sim.compiling.compile import FloatArray
 from sim.compiling.records import fill, fresh, records
 from sim.models.randomness import words_of
@@ -48,7 +47,7 @@ class SelectedLaw:
         self._memory: Any = None if before is None else before._memory
         if not self.row.module:
             return
-        module, kept = import_module(self.row.module), self._memory
+        module, kept = module_of(self.row), self._memory
         memory: Any = fresh(module.Memory)
         self._memory = memory
         if "key_0" in memory.dtype.names:

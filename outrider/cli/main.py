@@ -5,12 +5,12 @@ import functools
 import io
 import logging
 import os
+import re
 import signal
 import sys
 import traceback
 from collections.abc import Callable
 from importlib import import_module
-from importlib.util import find_spec
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -19,6 +19,7 @@ import typer
 from bus import plugins
 from bus.errors import (
     AccessDenied,
+    Ended,
     OutriderError,
     ScenarioError,
     error_with_place,
@@ -106,17 +107,25 @@ def make_app(*, whole: bool = False) -> typer.Typer:
     for name, (where, line) in COMMANDS.items():
         add(app, name, functools.partial(_attribute, where), line)
     for name, entry in sorted(plugins.registered("commands").items()):
-        package = entry.module.partition(".")[0]
-        if name in COMMANDS:
-            continue
         load = functools.partial(plugins.load, entry)
-        if find_spec(package) is None:  # without extensions: the command names the missing extra
-            _add(app, name, load, "", hidden=True)
-        else:
-            # The package's docstring. By contract, the package imports nothing else.
-            line = (import_module(package).__doc__ or "").partition("\n")[0]
-            add(app, name, load, line)
+        try:
+            fault = _name_fault(name)
+            if fault:
+                raise OutriderError(fault)
+            if plugins.is_installed(entry):
+                add(app, name, load, plugins.about(entry))
+            else:  # without extensions: the command names the missing extra
+                _add(app, name, load, "", hidden=True)
+        except OutriderError as error:
+            plugins.ignore(entry, error)
     return app
+
+
+def _name_fault(name: str) -> str:
+    """Describe why no package can add a command of this name; empty if one can."""
+    if name in COMMANDS:
+        return "Outrider has a command of this name"
+    return "" if re.fullmatch(r"\w[\w.-]*", name) else "not a command's name"
 
 
 def _attribute(where: str) -> Any:  # noqa: ANN401 - a command or an app
@@ -141,17 +150,23 @@ def call_command(name: str, arguments: list[str]) -> Any:  # noqa: ANN401 - an e
 
 
 def _call(found: Any, program: str, arguments: list[str]) -> Any:  # noqa: ANN401 - a function or an app
+    command = _as_command(found, program.rpartition(" ")[2])
+    return command(args=arguments, prog_name=program, standalone_mode=False)
+
+
+def _as_command(found: Any, name: str) -> Any:  # noqa: ANN401 - click's, by version of typer
     if not isinstance(found, typer.Typer):
         alone = typer.Typer(add_completion=False, rich_markup_mode=None)
-        alone.command(program.rpartition(" ")[2])(_interruptible(found))
+        alone.command(name)(_interruptible(found))
         found = alone
-    command = typer.main.get_command(found)
-    return command(args=arguments, prog_name=program, standalone_mode=False)
+    return typer.main.get_command(found)
 
 
 def _add_whole(app: typer.Typer, name: str, load: Callable[[], Any], line: str) -> None:
     try:
         found = load()
+        with plugins.foreign():
+            _as_command(found, name)  # otherwise a command that typer rejects would stop the others
     except OutriderError:
         return
     if isinstance(found, typer.Typer):
@@ -161,7 +176,7 @@ def _add_whole(app: typer.Typer, name: str, load: Callable[[], Any], line: str) 
 
 
 def _end(_signal: int, _frame: FrameType | None) -> None:
-    raise SystemExit(128 + signal.SIGTERM)
+    raise Ended(128 + signal.SIGTERM)
 
 
 class _Interrupted(Exception):

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from agents.laws.common import CoverageMemory, coverage_velocity_error
 from agents.uav_parameters import Target, UavParameters, uav_parameters
 from bus.law_parameters import law_parameters
-from bus.registry import LAWS, resolve
+from bus.registry import LAWS, module_of
 from outrider.running.summary import switching_radius_of
 from sim.compiling.compile import FloatArray
 from sim.compiling.records import fresh, records
@@ -118,7 +118,7 @@ def weighting_of(scenario: Scenario) -> tuple[Callable[[float, float], tuple[flo
     (law,) = records(type(parameters), [parameters])
 
     def weighting(distance: float, r_s: float) -> tuple[float, float]:
-        weights = resolve(f"{LAWS[brief.law.name].module}:weights")
+        weights = module_of(LAWS[brief.law.name]).weights
         (uav,) = records(UavParameters, [c._replace(switching_radius=r_s)])
         alpha, beta = weights(uav, law, distance)
         return float(alpha), float(beta)

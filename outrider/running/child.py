@@ -20,7 +20,7 @@ _TAIL = 200
 """Number of lines of standard error kept for each child."""
 _REPORTED = 12
 """Number of those lines in an error message."""
-_WARNING = re.compile(r"(?:outrider(?:\.\w+)+|py\.warnings): ")
+_WARNING = re.compile(r"(?:outrider: )?(?:outrider(?:\.\w+)+|py\.warnings): ")
 """Prefix of a warning in a child's log."""
 _ERROR = "outrider: "
 """Prefix of the error line of an `outrider` command."""

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agents.drivers.policy import RowPolicy
+from bus import plugins
 from bus.errors import ScenarioError
 from bus.policies import Vehicle, endings, policy_forms, policy_kinds
 from bus.registry import (
@@ -59,7 +60,9 @@ def _load_saved(name: str, what: str, vehicle: Vehicle) -> Any:  # noqa: ANN401 
     kind, separator, rest = name.partition(":")
     kinds = policy_kinds(vehicle)
     if separator and kind in kinds:
-        return resolve(getattr(kinds[kind], vehicle))(rest, f"{what} = {name!r}")
+        with plugins.foreign(f"{what} = {name!r}"):
+            load = resolve(getattr(kinds[kind], vehicle))
+        return load(rest, f"{what} = {name!r}")
     if Path(name).suffix in endings():
         allowed = policy_forms(vehicle)
         raise ScenarioError(

@@ -6,7 +6,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from bus.errors import ScenarioError, error_with_place, shortened
+from bus.errors import Ended, ScenarioError, error_with_place, shortened
 from sim.input.faults import near
 
 _HOME = Path(__file__).resolve().parents[2]
@@ -81,7 +81,9 @@ def _module(name: str, where: str) -> ModuleType:
         ) from error
     except ImportError as error:
         raise ScenarioError(f"{where}: {error}{_hidden(here)}") from error
-    except Exception as error:
+    except Ended:
+        raise
+    except (Exception, SystemExit) as error:
         reason = shortened(error_with_place(error))
         raise ScenarioError(f"{where}: cannot be imported: {reason}") from error
 

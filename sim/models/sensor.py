@@ -4,17 +4,16 @@ A sensor consists of the quality $S(\rho^2)$, its slope $dS/d\rho^2$ and a range
 row of `bus.registry.SENSORS`.
 """
 
-from importlib import import_module
 from typing import NamedTuple
 
 from bus.messages.scenario import Sensor
-from bus.registry import SENSORS
+from bus.registry import SENSORS, module_of, usable
 from sim.compiling.compile import compiled
 from sim.compiling.dispatch import choice
 
-_SENSORS = tuple(import_module(row.module) for row in SENSORS.values())
-_quality = choice([sensor.quality for sensor in _SENSORS])
-_slope = choice([sensor.slope for sensor in _SENSORS])
+_MODULES = usable(SENSORS.values(), lambda row: module_of(row, "quality", "slope"))
+_quality = choice([sensor.quality for sensor in _MODULES.values()])
+_slope = choice([sensor.slope for sensor in _MODULES.values()])
 
 
 class SensorParameters(NamedTuple):
