@@ -10,6 +10,8 @@ PIP    := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-che
 WORKERS := -n 2 --dist loadscope --no-loadscope-reorder
 LEARNERS := sb3 torchrl rllib supersuit
 
+SEQUENCES := 60
+
 .PHONY: help run test long-test core-test check format figures bench docs soak kill-test wall-test compose-test page-test bridge-test learn-test clean
 
 help: ## list the targets
@@ -74,8 +76,9 @@ $(VENV)/.docs: $(VENV)/.run
 soak: $(VENV)/.dev ## simulate an hour with random kills: check memory, trajectory, leftovers
 	$(BIN)/python tests/acceptance/soak.py $(ARGS)
 
-kill-test: $(VENV)/.dev ## kill a vehicle at 40 random times; check that the trajectory stays the same
+kill-test: $(VENV)/.dev ## kill and stop processes at random times; check the trajectory and the counters
 	$(BIN)/python tests/acceptance/kill.py $(ARGS)
+	$(BIN)/python tests/acceptance/counters.py --sequences $(SEQUENCES)
 
 wall-test: $(VENV)/.dev ## drive along the walls of 1,600 towns: check that no certified UGV hides
 	$(BIN)/python tests/acceptance/walls.py $(ARGS)
