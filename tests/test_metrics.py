@@ -4,15 +4,20 @@ import math
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 
 from bus.messages.links import LinkStatus
 from bus.messages.telemetry import MissionResult, VehicleStatus
 from outrider.cli import console
+from outrider.envs.env_pilots import pilots
+from outrider.envs.parallel import parallel_env
 from outrider.experiments.sweep.columns import RESULTS, row_of
 from outrider.running.flying import fly
 from outrider.running.metrics import LINK, MISSION, PROCESS, SUMMARY, UAV, total
 from outrider.running.summary import Summary
+from outrider_falsify.description import describe
+from sim.scenario.checks import scenario_warnings
 from sim.scenario.loading import load_scenario
 
 NO_METRICS = {"seed", "dt", "realtime", "first_missing_tick", "lost_chance"}
@@ -93,9 +98,43 @@ def test_a_row_of_a_sweep_has_the_columns_types(pairs: Summary) -> None:
     assert list(row) == list(RESULTS)
     for name, value in row.items():
         assert value is None or isinstance(value, types[RESULTS[name]]), name
-    assert row["margin"] == pairs.visibility_radius - (pairs.max_distance or 0.0)
+    assert row["margin"] == pytest.approx(pairs.visibility_radius - (pairs.max_distance or 0.0))
     assert row["violated"] is False
     lost = row_of(msgspec.structs.replace(pairs, visibility_violations=2), 1.5)
     assert (lost["violated"], lost["visibility_violations"]) == (True, 2)
     ages = [one.max_age for name, one in pairs.links.items() if name.endswith("detections")]
     assert row["detections_max_age"] == max(age for age in ages if age is not None)
+
+
+def test_sight_at_low_altitude_is_judged_by_what_is_visible_there() -> None:
+    changes = {"uav.0.initial_altitude": 4.0, "law.name": "coverage", "duration": 25.0}
+    scenario = load_scenario("escort", overrides=changes)
+    flight, summary = fly(scenario, scenario.seed)
+    within_r_v = flight.recorder.lost[:, 0] & (flight.recorder.escorts[:, 0, 0] < 4.75)
+    assert within_r_v.any()
+    row = row_of(summary, 1.0)
+    assert row["violated"]
+    assert row["margin"] <= 0.0
+    first = int(flight.recorder.lost[:, 0].argmax()) * scenario.dt
+    assert f"At {first:.2f} s the UGV is lost." in " ".join(describe(scenario, flight))
+    env = parallel_env(scenario, end_on_sight_lost=False)
+    own = pilots(env)
+    observations, _ = env.reset(seed=scenario.seed)
+    for tick in range(1, scenario.ticks):
+        observations, *_ = env.step({name: act(observations[name]) for name, act in own.items()})
+        assert (env.metrics()["uav_0"]["margin"] <= 0.0) == flight.recorder.lost[tick, 0]
+
+
+def test_separation_of_several_uavs_is_measured_and_warned_of() -> None:
+    near = [{"position": [7.0, 8.0]}, {"position": [7.2, 8.0]}]
+    scenario = load_scenario("escort", overrides=PAIRS | {"uav": near, "duration": 5.0})
+    flight, summary = fly(scenario, 1)
+    rows = flight.world.escorts[:, 0]
+    first, second = (flight.recorder.states[:, row, :2] for row in rows)
+    assert summary.min_separation == np.linalg.norm(first - second, axis=1).min()
+    (line,) = (line for line in scenario_warnings(scenario) if "apart" in line)
+    assert "uav_0, uav_1" in line
+    assert "min_separation" in line
+    alone = msgspec.structs.replace(scenario, uav=scenario.uav[:1])
+    assert fly(alone, 1)[1].min_separation is None
+    assert not any("apart" in line for line in scenario_warnings(alone))

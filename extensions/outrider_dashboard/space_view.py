@@ -13,7 +13,7 @@ from nicegui.elements.scene.objects.sphere import Sphere
 from bus.messages.telemetry import EscortTruth, Truth
 from outrider_dashboard.controls.widgets import html
 from outrider_dashboard.hub import Hub
-from sim.scene.altitude import altitudes_of, ring_radius
+from sim.scene.altitude import altitudes_of, ring_radius, sight_of
 from sim.scene.colors import GOOD, INK, LIMIT, RULE, building
 from sim.scene.model import Scene
 
@@ -182,9 +182,9 @@ class SpaceView:
             if ring.symbol == "r" and ring.around == escort.uav
         )
         drawn.cone.scale(reach, max(z, 1e-3), reach).move(x, y, 0.5 * z)
-        seen = escort.sight_radius is None or escort.distance < escort.sight_radius
+        color = LIMIT if sight_of(escort, math.inf).lost else GOOD
         end = (*truth.vehicles[escort.ugv].position, scene.space.markers.get(escort.ugv, 0.0))
-        _stretch(drawn.sight.material(GOOD if seen else LIMIT), (x, y, z), end)
+        _stretch(drawn.sight.material(color), (x, y, z), end)
 
     def _look_at_all(self, *, duration: float = 0.5) -> None:
         """Show the whole area."""

@@ -21,7 +21,7 @@ class CandidateResult:
 
     number: int
     score: float
-    """Largest distance at states with guaranteed visibility [m]."""
+    """Largest distance at states with guaranteed visibility [m], plus what the radius of sight there lacks of r_v."""
     violated: bool
     """True if the UGV was lost at a state with guaranteed visibility."""
     lost: bool
@@ -92,10 +92,11 @@ def flown(
         guaranteed(certified, patience) if certifies else np.ones(len(distance), dtype=np.bool_)
     )
     stands[:-1] |= certified  # a certified tick asserts visibility whatever came before
-    lost = distance >= scenario.visibility.radius
+    lost = flight.recorder.lost[:, 0]
+    reached = distance + (scenario.visibility.radius - flight.recorder.radii[:, 0])
     result = CandidateResult(
         number=candidate.number,
-        score=float(distance[stands].max(initial=0.0)),
+        score=float(reached[stands].max(initial=0.0)),
         violated=bool(np.any(lost & stands)),
         lost=bool(np.any(lost)),
         uncertified=certifies and not bool(np.all(certified[int(certified.argmax()) :])),

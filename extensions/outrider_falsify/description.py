@@ -57,7 +57,7 @@ def describe(scenario: Scenario, flight: Flight) -> list[str]:
     """Describe the run, one sentence per item."""
     distance, r_v, dt = flight.recorder.escorts[:, 0, 0], scenario.visibility.radius, scenario.dt
     farthest = int(distance.argmax())
-    beyond = [int(tick) for tick in (distance >= r_v).nonzero()[0]]
+    beyond = [int(tick) for tick in flight.recorder.lost[:, 0].nonzero()[0]]
     lines = [
         _start(scenario),
         f"The UGV follows a script of {len(scenario.ugv[0].script)} steps.",
@@ -68,7 +68,11 @@ def describe(scenario: Scenario, flight: Flight) -> list[str]:
         lines.append(
             f"At {beyond[0] * dt:.2f} s the UGV is lost. One tick earlier, {_at(flight, last)}."
         )
-        lines.append(f"It is out of sight for {len(beyond) * dt:.2f} s of {scenario.duration:g} s.")
+        hidden = int((flight.recorder.radii[:, 0] == 0.0).sum())
+        behind = f", for {hidden * dt:.2f} s of it behind a building" if hidden else ""
+        lines.append(
+            f"It is out of sight for {len(beyond) * dt:.2f} s of {scenario.duration:g} s{behind}."
+        )
     lines.append(
         f"The largest distance is {distance[farthest]:.4f} m at {farthest * dt:.2f} s; r_v = {r_v:g} m."
     )

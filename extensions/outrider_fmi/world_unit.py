@@ -10,7 +10,7 @@ from bus.messages.vehicle import Teleoperation
 from bus.registry import DRIVERS
 from outrider.running.flying import InProcess, make_pilots
 from outrider.running.user_code import own_code
-from outrider_fmi.variables import OPERATOR, TRUE_ESCORT, TRUE_STATE, Variable, of
+from outrider_fmi.variables import ALTITUDE, OPERATOR, TRUE_ESCORT, TRUE_STATE, Variable, of
 from outrider_fmi.vehicle_unit import Values, check_inputs, pair, tick_at
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
@@ -73,8 +73,9 @@ class WorldUnit:
         self._driven = [ugv.name for ugv in scenario.ugv if DRIVERS[ugv.driver].operated]
         self.inputs: tuple[Variable, ...] = sum((of(name, OPERATOR) for name in self._driven), ())
         states = (of(vehicle.name, TRUE_STATE) for vehicle in scenario.vehicles)
+        heights = (of(uav.name, ALTITUDE) for uav in scenario.uav if scenario.has_altitude)
         escorts = (of(uav.name, TRUE_ESCORT) for uav in self._flight.world.uavs)
-        self.outputs: tuple[Variable, ...] = sum((*states, *escorts), ())
+        self.outputs: tuple[Variable, ...] = sum((*states, *escorts, *heights), ())
         self.about = f"Run of the Outrider scenario {scenario.name!r}, seed {seed}"
         """Description for the importing tool."""
 
@@ -114,6 +115,7 @@ class WorldUnit:
         numbers = [value for k, row in enumerate(now) for value in (*row[:4], *applied[k])]
         for uav, row in enumerate(escorts[-1].tolist()):
             certified = len(escorts) > 1 and escorts[-2, uav, _CERTIFIED] == 1.0
-            lost = row[0] >= flight.scenario.visibility.radius
+            lost = flight.recorder.is_lost(flight.world.tick, uav)
             numbers += [row[0], row[1], certified, lost]
+        numbers += flight.recorder.heights[-1, :, :2].ravel().tolist()
         return dict(zip((one.name for one in self.outputs), numbers, strict=True))

@@ -22,7 +22,7 @@ from outrider_mavlink.gateway import (
 )
 from outrider_mavlink.identity import MANUAL, MISSION, Moving, VehicleSystem
 from outrider_mavlink.udp import Network, Peer
-from sim.scene.altitude import Sight, sight_radius
+from sim.scene.altitude import sight_of
 
 _RETRY = 1.0
 """Time between two requests for control of the same UGV [s]."""
@@ -93,7 +93,7 @@ class RunGateway(Gateway):
         geometry = self._status.geometry
         radius = math.inf if geometry is None else geometry.visibility_radius
         for escort in truth.escorts:
-            ugv, sight = escort.ugv, Sight(escort.distance, sight_radius(escort, radius))
+            ugv, sight = escort.ugv, sight_of(escort, radius)
             why = (
                 "hidden by a building"
                 if sight.hidden

@@ -15,7 +15,7 @@ from outrider_ros2.conversion import MAP, base_link, header, point_at, pose_at, 
 from outrider_ros2.interfaces import RosMessage, make
 from outrider_ros2.places import Vector3, place_of
 from outrider_ros2.run_view import RunView
-from sim.scene.altitude import altitudes_of, ring_radius
+from sim.scene.altitude import altitudes_of, ring_radius, sight_of
 from sim.scene.colors import FAINT, GOOD, HAZARDS, LIMIT, building, rgb
 from sim.scene.footprints import building_hazards
 from sim.scene.prism import prism
@@ -202,9 +202,8 @@ def sight(view: RunView, truth: Truth) -> RosMessage:
         if ring.symbol != "r_s" and ring.around in truth.vehicles
     ]
     for one in truth.escorts:
-        seen = one.sight_radius is None or one.distance < one.sight_radius
         ends = [place_of(truth.vehicles[name]) for name in (one.uav, one.ugv)]
-        color = _color(GOOD if seen else LIMIT, 1.0)
+        color = _color(LIMIT if sight_of(one, math.inf).lost else GOOD, 1.0)
         found.append(mark(name=f"{one.uav}/line of sight", color=color, points=ends))
     return make("visualization_msgs/msg/MarkerArray", markers=found)
 

@@ -22,7 +22,7 @@ from outrider.recording.tick_rows import Tick
 from outrider.recording.viewers import Place, Viewers
 from sim.engine.briefing import all_buildings
 from sim.scenario.types import Scenario
-from sim.scene.altitude import Sight, sight_radius
+from sim.scene.altitude import Sight, sight_of
 
 with needs("record"):
     import foxglove
@@ -168,7 +168,7 @@ class RecordingFile:
                 for name, one in vehicles
             )
             pairs = {escort.uav: escort.ugv for escort in escorts}
-            sights = [Sight(one.distance, sight_radius(one, self._r_v)) for one in escorts]
+            sights = [sight_of(one, self._r_v) for one in escorts]
             self._show(message.time, time_ns, places, pairs, sights)
         elif isinstance(message, CoverageMap):
             self._viewers.coverage(message, time_ns)

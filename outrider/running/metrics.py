@@ -71,7 +71,10 @@ RUN = _table(
     Metric("late_ticks", "late ticks", "", 0,
            "Ticks that missed their wall-clock time; 0 in lockstep."),
     Metric("visibility_radius", "visibility radius r_v", "m", 2,
-           "Distance from which on the UGV is out of sight, eq. (5).", column="double"),
+           "Distance from which on the UGV is out of sight, eq. (5); smaller at low altitudes.",
+           column="double"),
+    Metric("min_separation", "smallest separation", "m", 3,
+           "Smallest distance between two UAVs; none with fewer than two.", column="double"),
     Metric("complete", "complete", "", 0,
            "The run reached the end of its scenario."),
     Metric("deterministic", "deterministic", "", 0,
@@ -88,8 +91,12 @@ UAV = _table(
            "Largest distance between the UAV and its UGV.", total="max", column="double"),
     Metric("mean_distance", "mean distance", "m", 3,
            "Mean distance between the UAV and its UGV.", total="mean", column="double"),
+    Metric("min_margin", "smallest margin", "m", 3,
+           "Smallest distance by which the UGV could still recede in sight; 0 behind a "
+           "building, and not positive exactly if sight was lost.", total="min"),
     Metric("visibility_violations", "out of sight", "ticks", 0,
-           "Ticks at a distance of r_v or more, eq. (5).",
+           "Ticks at a distance of r_v or more, eq. (5), at the UAV's altitude, or behind a "
+           "building.",
            total="sum", goal=0.0, column="int64"),
     Metric("switching_radius", "switching radius r_s", "m", 3,
            "Distance beyond which the switching law only tracks, eq. (18); none if it is "
@@ -231,7 +238,8 @@ NOW = _table(
     Metric("distance", "distance", "m", 2,
            "Distance between the UAV and its UGV.", total="max"),
     Metric("margin", "margin to r_v", "m", 2,
-           "Visibility radius minus distance: below 0 the UGV is out of sight.", total="min"),
+           "Distance by which the UGV may still recede in sight, at the UAV's altitude: at 0 or "
+           "below it is out of sight; 0 behind a building.", total="min"),
     Metric("coverage_error", "coverage error e(t)", "m²", 1,
            "Coverage missing on the ground around the UGV, eq. (4).", total="max"),
     Metric("estimate_error", "estimate error", "m", 3,
@@ -242,8 +250,7 @@ NOW = _table(
 
 SWEEP = _table(
     Metric("margin", "margin", "m", 3,
-           "r_v minus the largest distance of the run; sight was lost if it is not "
-           "positive.", column="double"),
+           "`min_margin` of the run; sight was lost if it is not positive.", column="double"),
     Metric("violated", "out of sight", "", 0,
            "The UGV was out of sight at some tick.", column="bool"),
     Metric("seconds", "wall time", "s", 0,

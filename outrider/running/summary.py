@@ -29,6 +29,7 @@ class UavMetrics(msgspec.Struct, frozen=True, kw_only=True):
 
     max_distance: float | None
     mean_distance: float | None
+    min_margin: float | None = None
     visibility_violations: int
     switching_radius: float | None
     crossings: int
@@ -67,6 +68,7 @@ class Summary(UavMetrics, frozen=True, kw_only=True):
     complete: bool
     ticks_per_second: float
     visibility_radius: float
+    min_separation: float | None = None
     missing_commands: dict[str, int]
     """Ticks without a new command, by vehicle."""
     faults: dict[str, dict[str, int]] = {}
@@ -186,6 +188,7 @@ def _uav_metrics(flight: "Flight", rows: list[int]) -> dict[str, Any]:
     return {
         "max_distance": float(distance.max()) if distance.size else None,
         "mean_distance": _mean(distance),
+        "min_margin": float(recorder.margins[:, rows].min()) if distance.size else None,
         "visibility_violations": int(recorder.lost[:, rows].sum()),
         "switching_radius": next(iter(radii), None),
         "crossings": int((beyond[1:] & ~beyond[:-1]).sum()),
@@ -196,6 +199,19 @@ def _uav_metrics(flight: "Flight", rows: list[int]) -> dict[str, Any]:
         "estimate_rmse": _rms(recorded[:, :, 4:6] - p_g),
         "detection_rmse": _rms(recorded[:, :, 2:4] - (p_a - p_g)),
     }
+
+
+def _min_separation(flight: "Flight") -> float | None:
+    """Return the smallest distance of two UAVs at a tick [m]; None with fewer than two."""
+    recorder, rows = flight.recorder, flight.world.escorts[:, 0]
+    places = recorder.states[:, rows, :2]
+    if flight.scenario.has_altitude:
+        places = np.concatenate((places, recorder.heights[:, :, :1]), axis=2)
+    found = [
+        float(np.linalg.norm(places[:, k + 1 :] - places[:, k : k + 1], axis=2).min())
+        for k in range(len(rows) - 1)
+    ]
+    return min(found, default=None)
 
 
 def _by_uav(flight: "Flight") -> dict[str, UavMetrics]:
@@ -248,6 +264,7 @@ def summarize(
         complete=flight.complete,
         ticks_per_second=recorder.ticks / seconds if seconds > 0.0 else 0.0,
         visibility_radius=scenario.visibility.radius,
+        min_separation=_min_separation(flight),
         missing_commands=dict(flight.answers.missing),
         faults=_faults(vehicles or {}, flight.answers.shortened),
         telemetry_faults=dict(telemetry_faults),

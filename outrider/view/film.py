@@ -17,7 +17,7 @@ from outrider.recording.reader import Recording, coverages, grounds
 from outrider.recording.refly import external_uavs, from_the_start, restore
 from sim.compiling.compile import FloatArray
 from sim.scenario.types import NO_UAV
-from sim.scene.altitude import altitudes_of, sight_radius, worst_sight
+from sim.scene.altitude import altitudes_of, sight_of, worst_sight
 from sim.scene.colors import (
     BUILDINGS,
     COVERED,
@@ -261,9 +261,7 @@ class Film:
             coverage,
             estimates,
             time=truth.time,
-            sight=worst_sight(
-                (escort.distance, sight_radius(escort, self._r_v)) for escort in truth.escorts
-            ),
+            sight=worst_sight(sight_of(escort, self._r_v) for escort in truth.escorts),
             hazards=hazards,
             altitudes=altitudes_of(truth.vehicles),
             hidden={escort.uav for escort in truth.escorts if escort.sight_radius == 0.0},

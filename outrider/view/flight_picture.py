@@ -295,10 +295,9 @@ def _verdict(flight: Flight) -> _Verdict | None:
     if not distance.size:
         return None
     r_v, farthest = flight.scenario.visibility.radius, float(distance.max())
-    reached, margin = f"largest distance {farthest:.2f} m", r_v - farthest
+    reached, margin = f"largest distance {farthest:.2f} m", float(flight.recorder.margins.min())
     heights = flight.recorder.heights
     if flight.scenario.has_altitude:
-        margin = float((_radii(flight) - distance).min())
         lowest, highest = float(heights[:, :, 0].min()), float(heights[:, :, 0].max())
         span = "" if highest - lowest < _LEVEL else f"{lowest:.1f} to "
         reached += f"   ·   altitude {span}{highest:.1f} m"

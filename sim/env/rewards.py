@@ -26,9 +26,9 @@ class RewardWeights:
     Without `uncovered`, e(t) itself is not computed, which is faster.
     """
     sight_lost: float = 10.0
-    """UAV: cost each time that the distance reaches r_v."""
+    """UAV: cost each time that the UGV gets out of sight."""
     out_of_sight: float = 2.0
-    """UAV: cost while the distance is r_v or more, and for the rest of an episode that ends because of it [1/s]."""
+    """UAV: cost while the UGV is out of sight, and for the rest of an episode that ends because of it [1/s]."""
     progress: float = 1.0
     """UGV: gain for progress towards its goal [1/m]."""
     goal: float = 5.0
@@ -98,7 +98,7 @@ def uav_terms(
         error: Coverage error e(t) [m²].
         gain: Decrease of e(t) by its last sensor update [m²].
         full: `full_error` [m²].
-        lost: True if the distance is r_v or more.
+        lost: True if the UGV is out of sight.
         was_lost: True if it was at the previous tick.
         ticks_lost: Ticks charged while out of sight: one, or the rest of the episode if it ends because of that.
         acceleration: Applied acceleration [m/s²].

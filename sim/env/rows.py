@@ -27,7 +27,9 @@ class Standing:
     """Tick of the newest detection that has reached a UAV; -1: none."""
     was_lost: bool
     lost: bool
-    """True if the distance was, or is, r_v or more."""
+    """True if the UGV was, or is, out of sight."""
+    sight_radius: float
+    """Distance within which the UGV is visible [m], 0 while a building hides it."""
     distance: float
     max_distance: float
     """Present and largest distance [m]."""
@@ -141,7 +143,8 @@ def _measure_uav(bt: BatchTables, bs: BatchState, state: RowState, world: int, u
     row, vehicle = state.standings[world, v], bs.vehicles[world, v]
     distance, error = vehicle.distance, vehicle.coverage_error
     row.was_lost = row.lost
-    row.lost = distance >= vehicle.sight_radius
+    row.sight_radius = vehicle.sight_radius
+    row.lost = distance >= row.sight_radius
     row.distance = distance
     row.max_distance = max(row.max_distance, distance)
     row.violations += 1 if row.lost else 0

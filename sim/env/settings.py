@@ -30,7 +30,7 @@ class Settings:
     rewards: RewardWeights = field(default_factory=RewardWeights)
     """Weights of the reward terms."""
     end_on_sight_lost: bool = True
-    """True: an episode terminates when the distance between a UAV and its UGV reaches r_v."""
+    """True: an episode terminates when a UAV loses sight of its UGV."""
     end_on_goals_reached: bool = False
     """True: an episode terminates when every UGV with goals has reached all of them."""
     coverage_patch: CoveragePatch | tuple[int, float] | None = None

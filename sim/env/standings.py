@@ -5,6 +5,7 @@ from typing import Any
 from bus.observations import ALTITUDE, UAV, UAV_STATE, UGV_STATE, Row, Table, as_rows
 from sim.env.rewards import MISSION_TERMS, UAV_TERMS, UGV_TERMS
 from sim.env.rows import RowState, RowTables
+from sim.models.sight import sight_margin
 from sim.scenario.types import Scenario, Ugv
 
 
@@ -19,7 +20,7 @@ class Standings:
 
     def __init__(self, scenario: Scenario, tables: RowTables, state: RowState, world: int) -> None:
         names = [vehicle.name for vehicle in scenario.vehicles]
-        self._dt, self._r_v = scenario.dt, float(scenario.visibility.radius)
+        self._dt = scenario.dt
         self._grounded = scenario.has_ground
         self._tables, self._state, self._world = tables, state, world
         self._numbers = {name: number for number, name in enumerate(names)}
@@ -63,7 +64,7 @@ class Standings:
         if self._places[name] >= 0:
             found = {
                 "distance": truly["distance"],
-                "margin": self._r_v - truly["distance"],
+                "margin": float(sight_margin(truly["distance"], truly["sight_radius"])),
                 "max_distance": truly["max_distance"],
                 "visibility_violations": truly["violations"],
                 "coverage_error": truly["error"],

@@ -240,6 +240,7 @@ def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
         line
         for warnings in (
             _law_warnings,
+            _separation_warnings,
             _code_warnings,
             _circle_warnings,
             _task_warnings,
@@ -254,6 +255,12 @@ def _law_warnings(scenario: Scenario) -> Iterator[str]:
     if scenario.uav and not LAWS[scenario.law.name].keeps_sight:
         name = f'law.name = "{scenario.law.name}"'
         yield f"{name}: visibility is not maintained: this law never returns to the UGV"
+
+
+def _separation_warnings(scenario: Scenario) -> Iterator[str]:
+    if len(scenario.uav) > 1:
+        names = ", ".join(uav.name for uav in scenario.uav)
+        yield f"{names}: nothing keeps UAVs apart; the metric min_separation tells how close they came"
 
 
 def _code_warnings(scenario: Scenario) -> Iterator[str]:

@@ -11,6 +11,7 @@ from bus.messages.telemetry import EscortTruth, VehicleTruth
 from sim.models.buildings import building_table
 from sim.models.camera import range_at, visibility_radius_at
 from sim.models.shadows import Occlusion, hidden_cells
+from sim.models.sight import is_lost, sight_margin
 from sim.scene.model import Point, Ring, Scene, Space
 
 
@@ -25,7 +26,12 @@ class Sight(NamedTuple):
     @property
     def lost(self) -> bool:
         """True if the UGV is out of sight, (5)."""
-        return self.distance >= self.radius
+        return bool(is_lost(self.distance, self.radius))
+
+    @property
+    def margin(self) -> float:
+        """Distance by which the UGV may still recede [m]; 0 while a building hides it."""
+        return float(sight_margin(self.distance, self.radius))
 
     @property
     def hidden(self) -> bool:
@@ -39,14 +45,12 @@ def worst_sight(pairs: Iterable[tuple[float, float]]) -> Sight | None:
     Args:
         pairs: Distance of each UAV from its UGV, and the distance within which it sees the UGV [m].
     """
-    return max(
-        (Sight(*pair) for pair in pairs), key=lambda one: one.distance - one.radius, default=None
-    )
+    return min((Sight(*pair) for pair in pairs), key=lambda one: one.margin, default=None)
 
 
-def sight_radius(escort: EscortTruth, r_v: float) -> float:
-    """Return the distance within which a UAV sees its UGV [m]; `r_v`: the radius in the plane [m]."""
-    return r_v if escort.sight_radius is None else escort.sight_radius
+def sight_of(escort: EscortTruth, r_v: float) -> Sight:
+    """Return distance and radius of sight of a pair; `r_v`: the radius in the plane [m], infinite if unknown."""
+    return Sight(escort.distance, r_v if escort.sight_radius is None else escort.sight_radius)
 
 
 def altitudes_of(vehicles: Mapping[str, VehicleTruth]) -> dict[str, float]:

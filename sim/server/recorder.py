@@ -18,6 +18,7 @@ from sim.compiling.records import RecordArray, record_type
 from sim.engine.monitor import NEVER, ArrivalRecord
 from sim.engine.world_state import BatchState, BatchTables
 from sim.engine.world_tick import measure
+from sim.models.sight import is_lost, sight_margin
 from sim.server.row_store import RowStore
 from sim.world import World
 
@@ -212,14 +213,30 @@ class Recorder:
         radius = self._world.parameters.r_v
         if self._heights.shape[1]:
             radius = self._heights.item(tick, uav, 3)
-        return self.distance(tick, uav) >= radius
+        return bool(is_lost(self.distance(tick, uav), radius))
+
+    @property
+    def radii(self) -> FloatArray:
+        """Return the distance within which each UAV's UGV is visible [m], 0 while a building hides it.
+
+        Shape (rows, UAVs).
+        """
+        if self._heights.shape[1]:
+            return self.heights[:, :, 3]
+        return np.full(self.escorts.shape[:2], self._world.parameters.r_v)
 
     @property
     def lost(self) -> npt.NDArray[np.bool_]:
         """Return whether each UAV's UGV was out of sight, (5). Shape (rows, UAVs)."""
-        radius = self.heights[:, :, 3] if self._heights.shape[1] else self._world.parameters.r_v
-        out: npt.NDArray[np.bool_] = self.escorts[:, :, 0] >= radius
-        return out
+        return is_lost(self.escorts[:, :, 0], self.radii)
+
+    @property
+    def margins(self) -> FloatArray:
+        """Return the distance by which each UGV may still recede before it is out of sight [m].
+
+        Positive exactly while it is in sight. Shape (rows, UAVs).
+        """
+        return sight_margin(self.escorts[:, :, 0], self.radii)
 
     def sha256(self, ticks: int | None = None) -> str:
         """Return the hash of the trajectory over the first `ticks` complete ticks (all by default).

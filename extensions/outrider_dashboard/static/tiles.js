@@ -45,21 +45,25 @@ export function showTiles({ now, vehicles, escorts, geometry, status, truth, sta
   if (!now) return;
   const several = escorts.length > 1;
   const column = (which) => escorts.map((_, k) => now[2 + 2 * vehicles.length + PER_ESCORT * k + which]);
-  const showWorst = (name, values, { text = "", unsure = [] } = {}) => {
+  const showWorst = (name, values, { text = "", unsure = [], instead = null } = {}) => {
     const row = of(name);
     const found = values.filter(known);
     const worst = !found.length ? null : row.total === "min" ? Math.min(...found) : Math.max(...found);
     const pair = several && worst !== null ? escorts[values.indexOf(worst)][0] : "";
     const each = several ? values.map((value, k) => `${escorts[k].join(" and ")}: ${textOf(row, value)}`) : [];
     const note = !several ? "" : [unsure.length ? "" : pair, text].filter(Boolean).join(" · ");
-    const bad = name === "margin" && worst !== null && worst < 0;
-    show(row, worst, { unit: text && !several ? `${row.unit} · ${text}` : row.unit, note, bad, which: OF_SEVERAL[row.total], more: [...each, ...unsure] });
+    const bad = name === "margin" && worst !== null && worst <= 0;
+    show(row, worst, { text: instead, unit: text && !several ? `${row.unit} · ${text}` : row.unit, note, bad, which: OF_SEVERAL[row.total], more: [...each, ...unsure] });
   };
   const { text, reasons } = certificateOf(truth);
   const radius = (k) => (truth && truth.escorts[k] && known(truth.escorts[k].sight_radius) ? truth.escorts[k].sight_radius : geometry.visibility_radius);
-  const margins = column(0).map((distance, k) => (geometry && known(distance) ? radius(k) - distance : null));
+  const margins = column(0).map((distance, k) => {
+    if (!geometry || !known(distance)) return null;
+    return radius(k) === 0 ? 0 : radius(k) - distance;
+  });
+  const hidden = margins.some((margin, k) => margin === Math.min(...margins.filter(known)) && radius(k) === 0);
   showWorst("distance", column(0));
-  showWorst("margin", margins, { text, unsure: reasons });
+  showWorst("margin", margins, { text, unsure: reasons, instead: hidden ? "hidden" : null });
   $("tile-margin").classList.toggle("unsure", reasons.length > 0);
   showWorst("coverage_error", column(1));
   showWorst("estimate_error", column(2));

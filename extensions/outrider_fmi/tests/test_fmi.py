@@ -159,8 +159,27 @@ def test_an_operator_of_the_worlds_unit_is_one_of_the_run() -> None:
     assert outputs["ugv_0.velocity.y"] > 0.05
 
 
-def test_the_pilots_unit_answers_what_the_runs_pilot_answers() -> None:
-    flown = load_scenario("escort", overrides=["duration=10.0", "links.detections.loss=0.2"])
+def test_the_worlds_unit_loses_sight_where_the_run_does_at_low_altitude() -> None:
+    changes = ["uav.0.initial_altitude=4.0", "law.name=coverage", "duration=25.0"]
+    flown = load_scenario("escort", overrides=changes)
+    flight, summary = fly(flown, 4)
+    unit = WorldUnit(flown, 4)
+    rows = [unit.start(), *(unit.step(tick * DT, DT, {}) for tick in range(flown.ticks))]
+    lost = [row["uav_0.lost"] for row in rows]
+    assert sum(lost) == summary.visibility_violations
+    near = [row["uav_0.distance"] < flown.visibility.radius for row in rows]
+    assert any(gone and within for gone, within in zip(lost, near, strict=True))
+    assert [row["uav_0.altitude"] for row in rows] == flight.recorder.heights[:, 0, 0].tolist()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [(), ("uav.0.initial_altitude=12.0", "detections.noise=0.05")],
+    ids=["plane", "space"],
+)
+def test_the_pilots_unit_answers_what_the_runs_pilot_answers(changes: tuple[str, ...]) -> None:
+    lossy = ["duration=10.0", "links.detections.loss=0.2", *changes]
+    flown = load_scenario("escort", overrides=lossy)
     own_briefing = briefing(flown, "uav_0", 5)
     unit = VehicleUnit(own_briefing)
     certified, radioed = 0, 0
@@ -173,11 +192,14 @@ def test_the_pilots_unit_answers_what_the_runs_pilot_answers() -> None:
         values = every_input(unit, 0.0)
         values |= zip(("position.x", "position.y"), seen.position, strict=True)
         values |= zip(("velocity.x", "velocity.y"), seen.velocity, strict=True)
+        if changes:
+            values |= {"altitude": seen.altitude or 0.0, "climb_rate": seen.climb_rate}
         if detection is not None:
             values |= {"detection.new": True, "detection.time": detection.time}
             values |= zip(("detection.x", "detection.y"), detection.relative_position, strict=True)
         got = unit.step(seen.tick * DT, DT, values)
         assert (got["acceleration.x"], got["acceleration.y"]) == command.acceleration
+        assert got.get("vertical_acceleration", 0.0) == command.vertical_acceleration
         report = command.report
         assert got["estimate.valid"] == (report is not None)
         decision = None if report is None else report.decision

@@ -204,9 +204,7 @@ def margins(material: Material) -> Figure:
         style.key(style.LIMIT, "below: out of sight"),
         style.key(style.MUTED, "below the picture", marker="v", markersize=5, linestyle=""),
     ]
-    return _sheet(
-        material, "Margin: $r_v$ minus the largest distance of a run", "margin [m]", draw, keys
-    )
+    return _sheet(material, "Smallest margin of a run", "margin [m]", draw, keys)
 
 
 def _band(

@@ -41,10 +41,9 @@ def row_of(summary: Summary, seconds: float) -> dict[str, Any]:
         name: getattr(summary.mission if name in MISSION else summary, name, None)
         for name in RESULTS
     }
-    farthest = summary.max_distance
     return row | {
         **_link_columns(summary),
-        "margin": None if farthest is None else summary.visibility_radius - farthest,
+        "margin": summary.min_margin,
         "violated": summary.visibility_violations > 0,
         "seconds": seconds,
     }

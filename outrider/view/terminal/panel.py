@@ -12,6 +12,7 @@ from bus.registry import TELEOP
 from outrider.view.operator import SILENCE
 from outrider.view.terminal.palette import ALARM, EDGE, FAINT, GOOD, INK, LIMIT, UAV, UGV
 from outrider.view.terminal.teleoperation import DriveView
+from sim.models.sight import is_lost, sight_margin
 
 WIDTH = 36
 """Width of the panel [cells]."""
@@ -142,7 +143,8 @@ def _distance(text: Text, view: DriveView, escort: EscortTruth | None) -> None:
     color, margin = INK, "-"
     if distance is not None and r_v is not None:
         color = _severity(distance, r_v, r_s)
-        margin = "behind a building" if r_v == 0.0 else f"{r_v - distance:+.2f} m"
+        hidden = "behind a building"
+        margin = hidden if r_v == 0.0 else f"{float(sight_margin(distance, r_v)):+.2f} m"
     name = f"distance {escort.uav}" if escort is not None else "distance"
     _row(text, name, "-" if distance is None else f"{distance:.2f} m", color, bold=True)
     text.append_text(_gauge(distance, r_v, r_s, color))
@@ -161,7 +163,7 @@ def _altitude(text: Text, uav: VehicleTruth) -> None:
 
 
 def _severity(distance: float, r_v: float, r_s: float | None) -> str:
-    if distance > r_v:
+    if is_lost(distance, r_v):
         return LIMIT
     return UGV[0] if r_s is not None and distance > r_s else GOOD
 
