@@ -4,6 +4,7 @@ from structs import cell
 
 from outrider_fmi.variables import (
     ACCELERATION,
+    ALTITUDE,
     DRIVER_INPUTS,
     OPERATOR,
     OWN_STATE,
@@ -12,6 +13,7 @@ from outrider_fmi.variables import (
     TRUE_STATE,
     UAV_INPUTS,
     UAV_OUTPUTS,
+    VERTICAL,
     Variable,
     of,
 )
@@ -19,7 +21,9 @@ from outrider_fmi.variables import (
 Rows = tuple[tuple[str, tuple[Variable, ...]], ...]
 PILOTS: Rows = (
     ("`uav`: in", UAV_INPUTS),
+    ("`uav`: in, with an altitude", ALTITUDE),
     ("`uav`: out", UAV_OUTPUTS),
+    ("`uav`: out, with an altitude", VERTICAL),
     ("`ugv`: in", OWN_STATE),
     ("`ugv`: in, for drivers with radio (`evade`, `navigate`)", RADIO),
     ("`ugv`: in, for the driver `teleop`", OPERATOR),
@@ -28,6 +32,7 @@ PILOTS: Rows = (
 WORLD: Rows = (
     ("`world`: out, of each vehicle", of("<vehicle>", TRUE_STATE)),
     ("`world`: out, of each UAV", of("<uav>", TRUE_ESCORT)),
+    ("`world`: out, of each UAV with an altitude", of("<uav>", ALTITUDE)),
     ("`world`: in, of each UGV with the driver `teleop`", of("<ugv>", OPERATOR)),
 )
 DRIVER: Rows = (("in", DRIVER_INPUTS), ("out", ACCELERATION))

@@ -21,6 +21,10 @@ def _plane(name: str, unit: str, about: str) -> tuple[Variable, ...]:
 
 
 OWN_STATE = _plane("position", "m", "Own position") + _plane("velocity", "m/s", "Own velocity")
+ALTITUDE = (
+    Variable("altitude", "m", "Altitude above the ground"),
+    Variable("climb_rate", "m/s", "Climb rate"),
+)
 DETECTION = (
     Variable("detection.new", "", "True at a step with a new detection"),
     Variable("detection.time", "s", "Time of the detection: a tick times the step size"),
@@ -42,9 +46,16 @@ GOAL = (
     Variable("goal.y", "m", "Goal, north"),
 )
 ACCELERATION = _plane("acceleration", "m/s2", "Commanded acceleration from this step on")
+VERTICAL = (
+    Variable("vertical_acceleration", "m/s2", "Commanded vertical acceleration from this step on"),
+)
 ESCORT = (
     Variable("certified", "", "True if visibility is certified from this step on"),
-    Variable("margin", "m", "Visibility radius minus the certified distance; -inf if unknown"),
+    Variable(
+        "margin",
+        "m",
+        "Visibility radius at its altitude minus the certified distance; -inf if unknown",
+    ),
     Variable("estimate.valid", "", "True once the UGV has been detected"),
     *_plane("estimate", "m", "Position of the UGV, the UAV's estimate"),
 )

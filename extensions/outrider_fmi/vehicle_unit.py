@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from agents.laws.selection import SelectedLaw
-from agents.safety.levels import bounds_of
+from agents.safety.levels import bounds_of, radius_at
 from agents.uav import UavPilot
 from agents.uav_parameters import uav_parameters
 from agents.ugv import UgvPilot
@@ -28,11 +28,13 @@ from bus.registry import DRIVERS, LAWS
 from bus.ticks import tick_of
 from outrider_fmi.variables import (
     ACCELERATION,
+    ALTITUDE,
     OPERATOR,
     OWN_STATE,
     RADIO,
     UAV_INPUTS,
     UAV_OUTPUTS,
+    VERTICAL,
     Variable,
 )
 
@@ -134,8 +136,9 @@ class VehicleUnit:
         self._pilot: UavPilot | UgvPilot
         if isinstance(briefing, UavBriefing):
             self._pilot = UavPilot(briefing)
-            self.inputs: tuple[Variable, ...] = UAV_INPUTS
-            self.outputs: tuple[Variable, ...] = UAV_OUTPUTS
+            climbs = briefing.altitude is not None
+            self.inputs: tuple[Variable, ...] = UAV_INPUTS + ALTITUDE * climbs
+            self.outputs: tuple[Variable, ...] = UAV_OUTPUTS + VERTICAL * climbs
             content = f"the UAV's pilot, law {briefing.law.name}"
         else:
             row = DRIVERS[briefing.driver]
@@ -143,7 +146,7 @@ class VehicleUnit:
             self.inputs = OWN_STATE + RADIO * row.listens + OPERATOR * row.operated
             self.outputs = ACCELERATION
             content = f"the UGV's driver, {briefing.driver}"
-        self._visible = briefing.visibility_radius if isinstance(briefing, UavBriefing) else 0.0
+        self._briefing = briefing
         self.about = f"{briefing.vehicle} of an Outrider scenario: {content}"
         """Description for the importing tool."""
 
@@ -180,11 +183,16 @@ class VehicleUnit:
         if values["detection.new"]:
             relative = pair(values, "detection")
             detections = (Detection(time=values["detection.time"], relative_position=relative),)
-        return self._outputs(pilot.act(UavObservation(**own, detections=detections)))
+        if "altitude" in values:
+            own |= {"altitude": values["altitude"], "climb_rate": values["climb_rate"]}
+        seen = UavObservation(**own, detections=detections)
+        return self._outputs(pilot.act(seen), seen.altitude)
 
-    def _outputs(self, command: UavCommand) -> dict[str, float]:
+    def _outputs(self, command: UavCommand, altitude: float | None) -> dict[str, float]:
         outputs = self.start()
         outputs["acceleration.x"], outputs["acceleration.y"] = command.acceleration
+        if altitude is not None:
+            outputs["vertical_acceleration"] = command.vertical_acceleration
         report = command.report
         if report is not None:
             outputs["estimate.valid"] = True
@@ -192,12 +200,19 @@ class VehicleUnit:
             decision = report.decision
             outputs["certified"] = decision is not None and decision.certified
             if decision is not None and decision.certified_distance is not None:
-                outputs["margin"] = self._visible - decision.certified_distance
+                outputs["margin"] = self._visible(altitude) - decision.certified_distance
         for message in command.radio:
             outputs["radio.new"], outputs["radio.time"] = True, message.time
             outputs["radio.x"], outputs["radio.y"] = message.relative_position
             outputs["radio.coverage_error"] = message.coverage_error
         return outputs
+
+    def _visible(self, altitude: float | None) -> float:
+        """Return the distance within which the UGV is visible [m]."""
+        briefing = self._briefing
+        if not isinstance(briefing, UavBriefing) or altitude is None:
+            return briefing.visibility_radius if isinstance(briefing, UavBriefing) else 0.0
+        return radius_at(briefing, altitude)
 
     def _drive(self, pilot: UgvPilot, own: dict[str, Any], values: Values) -> dict[str, float]:
         radio: tuple[RelativeInformation, ...] = ()
