@@ -50,15 +50,17 @@ def _packages() -> Iterator[Finding]:
 
 
 def _cache() -> Iterator[Finding]:
-    from sim.compiling.compile import cache_folder
+    from sim.compiling.compile import compile_cache
 
-    folder = cache_folder()
+    folder, fault = compile_cache()
     if folder is None:
-        details = "no writable folder: every process compiles again; set OUTRIDER_CACHE to a writable folder"
+        details = f"{fault}: every process compiles again; set OUTRIDER_CACHE to a writable folder"
         yield Finding("compile cache", "missing", details)
         return
     size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
-    details = f"{folder}, {size / 1e6:.0f} MB" + ("" if size else "; the first run compiles")
+    details = f"{folder}, {size / 1e6:.0f} MB"
+    if fault or not size:
+        details += f"; {fault or 'empty'}: the next run compiles"
     yield Finding("compile cache", "ok", details)
 
 

@@ -192,8 +192,21 @@ def _interruptible(command: Callable[..., Any]) -> Callable[..., Any]:
             return command(*arguments, **options)
         except KeyboardInterrupt as error:
             raise _Interrupted from error
+        except EOFError as error:  # typer would take it for Ctrl-D
+            raise OutriderError(
+                _cache_fault(error) or f"{error_with_place(error)}; {_MORE}"
+            ) from error
 
     return call
+
+
+def _cache_fault(error: BaseException) -> str:
+    """Describe a failure to read or write the compile cache; empty if the error is another one."""
+    if "sim.compiling.compile" not in sys.modules:  # nothing was compiled
+        return ""
+    from sim.compiling.compile import cache_fault
+
+    return cache_fault(error)
 
 
 def _fail(line: str, code: int) -> int:
@@ -208,6 +221,8 @@ def _show_traceback() -> None:
 
 def _system_fault(error: OSError) -> str:
     """Describe a system error and, if known, the file that it concerns."""
+    if fault := _cache_fault(error):
+        return fault
     if place_in_user_code(error):
         return f"{error_with_place(error)}; {_MORE}"
     reason = error.strerror or str(error)
@@ -241,6 +256,9 @@ def _run() -> int:
         # typer's own errors, independent of its version of click
         format_message = getattr(error, "format_message", None)
         if format_message is None:
+            if fault := _cache_fault(error):
+                _show_traceback()
+                return _fail(fault, 1)
             if not place_in_user_code(error):
                 raise
             _show_traceback()

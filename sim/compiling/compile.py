@@ -7,11 +7,10 @@ import logging
 import os
 import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numba
 import numpy as np
@@ -19,6 +18,7 @@ import numpy.typing as npt
 
 from bus import plugins
 from bus.registry import DRIVERS, LAWS, SENSORS
+from sim.compiling.cache import failure_in_numba, open_cache
 
 FloatArray = npt.NDArray[np.float64]
 """C-contiguous array of float64."""
@@ -41,7 +41,7 @@ def _source_digest() -> str:
     digest = hashlib.sha256(f"{sys.version}{numba.__version__}{np.__version__}".encode())
     root = Path(__file__).resolve().parents[2]
     for folder in ("bus", "sim", "agents", "outrider"):
-        for path in sorted((root / folder).rglob("*.py")):
+        for path in plugins.python_files(root / folder):
             digest.update(path.relative_to(root).as_posix().encode())
             digest.update(path.read_bytes())
     for path in plugins.source_files():
@@ -72,24 +72,56 @@ def _remove_old(home: Path) -> None:
             shutil.rmtree(path, ignore_errors=True)
 
 
-@functools.cache
+class Cache(NamedTuple):
+    """Compile cache of this process."""
+
+    folder: Path | None
+    """Folder of the cache; None: each process compiles again."""
+    fault: str = ""
+    """Reason why there is no folder, or what was repaired in it; empty: neither."""
+
+
+def compile_cache() -> Cache:
+    """Return the compile cache for the laws, drivers and sensors that can be used.
+
+    A row whose code fails is removed from its table. Functions that are compiled afterwards have another cache.
+    """
+    rows = (row for table in (LAWS, DRIVERS, SENSORS) for row in table.values())
+    return _cache_of(tuple((row.name, row.module) for row in rows))
+
+
 def cache_folder() -> Path | None:
-    """Return the folder of the compile cache; None if no folder is writable."""
-    name = f"numba-{_source_digest()}"
+    """Return the folder of the compile cache; None if there is none."""
+    return compile_cache().folder
+
+
+def cache_fault(error: BaseException) -> str:
+    """Describe a failure to read or write the compile cache in one line; empty if the error is another one."""
+    fault = failure_in_numba(error)
+    remedy = "remove it, or set OUTRIDER_CACHE to a folder on another disk"
+    return f"compile cache {cache_folder()}: {fault}; {remedy}" if fault else ""
+
+
+@functools.cache
+def _cache_of(_rows: tuple[tuple[str, str], ...]) -> Cache:
     try:
-        folder = _cache_home() / name
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            os.utime(folder)
+        folder = _cache_home() / f"numba-{_source_digest()}"
+        removed = open_cache(folder)
         _remove_old(folder.parent)
     except (OSError, RuntimeError) as error:  # RuntimeError: this user has no home folder
+        named = isinstance(error, OSError) and error.filename is not None
+        fault = f"{error.filename}: {error.strerror}" if named else str(error)
         _LOG.warning(
             "no compile cache (%s): every start compiles for about a minute; set OUTRIDER_CACHE to a writable folder",
-            f"{error.filename or name}: {error.strerror}" if isinstance(error, OSError) else error,
+            fault,
         )
-        return None
+        return Cache(None, fault)
     numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
-    return folder
+    if not removed:
+        return Cache(folder)
+    fault = f"{removed} damaged files removed"
+    _LOG.warning("compile cache %s: %s; the next run compiles again", folder, fault)
+    return Cache(folder, fault)
 
 
 def constant(value: int) -> int:
