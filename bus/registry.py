@@ -224,6 +224,8 @@ DEFAULT_LAW = "logarithmic"
 
 TELEOP = "teleop"
 """Driver for teleoperation."""
+EXTERNAL = "external"
+"""Driver of a UGV that the user's own process, or external actions, control."""
 DRIVERS = _extended(
     "drivers",
     DriverRow,
@@ -271,7 +273,7 @@ DRIVERS = _extended(
         operated=True,
     ),
     DriverRow(name="policy", about="your own policy (custom.policy)", own="policy"),
-    DriverRow(name="external", about="your own process", outside=True),
+    DriverRow(name=EXTERNAL, about="your own process", outside=True),
 )
 """Drivers by name, in the order of help texts."""
 DEFAULT_DRIVER = "waypoints"

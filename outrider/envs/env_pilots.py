@@ -113,7 +113,8 @@ def pilots(
     Each policy has the information that its pilot would have over the bus: its briefing, and the data of its own
     sensors and links, whatever the observation contains. Policies have memory, so call each once per tick; they reset
     with each new episode. They fly the same bits as `outrider.run` with the same scenario and seed if no UGV uses the
-    UAVs' radio; otherwise they agree to rounding.
+    UAVs' radio; otherwise they agree to rounding. Each pilot is briefed as in that run: among buildings, the UAVs' own
+    certificates rely on the policies of all UGVs being in use.
 
     Args:
         env: Environment, or a wrapper of it.

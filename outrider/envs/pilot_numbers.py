@@ -1,7 +1,7 @@
 """Parameters of all pilots of a closed loop, in tables."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 import msgspec
@@ -25,7 +25,7 @@ from agents.uav_parameters import uav_parameters
 from bus.errors import ScenarioError
 from bus.messages.scenario import Law
 from bus.messages.vehicle import UavBriefing
-from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
+from bus.registry import DEFAULT_DRIVER, DRIVERS, EXTERNAL, LAWS
 from bus.ticks import radio_ticks
 from outrider.envs.closed_loop_state import HeightTables, LoopParameters
 from sim.compiling.records import fill, fresh, record_type, records
@@ -106,6 +106,22 @@ def height_tables(briefings: Sequence[UavBriefing]) -> HeightTables:
     return HeightTables(laws, levels)
 
 
+def drivers_in_control(
+    scenario: Scenario, external: Collection[str], pilots: Mapping[str, str]
+) -> dict[str, str]:
+    """Return the driver in control of each UGV, `EXTERNAL` for external actions.
+
+    Args:
+        scenario: The scenario.
+        external: Vehicles with external actions.
+        pilots: Laws and drivers chosen instead of the scenario's, by vehicle.
+    """
+    return {
+        ugv.name: EXTERNAL if ugv.name in external else pilots.get(ugv.name, ugv.driver)
+        for ugv in scenario.ugv
+    }
+
+
 class PilotNumbers:
     """Parameters of all pilots, in tables."""
 
@@ -118,7 +134,8 @@ class PilotNumbers:
         chosen: Mapping[str, str],
         shield: bool,
     ) -> None:
-        uav_briefings = [uav_briefing(scenario, name, 0) for name in uavs]
+        driven = drivers_in_control(scenario, external, chosen)
+        uav_briefings = [uav_briefing(scenario, name, 0, drivers=driven) for name in uavs]
         ugv_briefings = [ugv_briefing(scenario, name, 0) for name in ugvs]
         never_asked = dict.fromkeys(uavs, "tracking") | dict.fromkeys(ugvs, DEFAULT_DRIVER)
         pilots = {**chosen, **{name: never_asked[name] for name in external}}

@@ -4,7 +4,7 @@ import math
 
 from agents.safety.levels import bounds_at, least_altitude, lowest_certified, radius_at
 from bus.messages.vehicle import UavBriefing
-from sim.scenario.clearance import clearance_fault
+from sim.engine.briefing import hiding_fault
 from sim.scenario.types import Scenario, Uav
 
 
@@ -50,8 +50,8 @@ def altitude_fault(scenario: Scenario, uav: Uav, briefing: UavBriefing) -> str:
     if briefing.altitude is None:
         return ""
     (escorted,) = (ugv for ugv in scenario.ugv if ugv.name == uav.escorts)
-    fault = clearance_fault(scenario, escorted)
-    if briefing.max_building_height is not None and fault:
+    fault = hiding_fault(scenario, escorted)
+    if fault:
         return f"{uav.escorts} guarantees no distance from buildings, which may hide it: {fault}"
     lowest = lowest_certified(briefing)
     if lowest is None:

@@ -1,8 +1,7 @@
 """Briefing of each vehicle: its own row of the scenario, and only the bounds of the other vehicles."""
 
+from collections.abc import Mapping
 from typing import Any
-
-import msgspec
 
 from bus.messages.base import or_none
 from bus.messages.buildings import Building
@@ -17,7 +16,7 @@ from sim.models.inner_loop import tracking_error
 from sim.models.randomness import BUILDING_FIELDS, PILOT, words_of
 from sim.models.safety import SafetyBounds, safety_bounds
 from sim.scenario.building_tables import max_building_height, run_buildings
-from sim.scenario.clearance import guaranteed_clearance
+from sim.scenario.clearance import clearance_fault, guaranteed_clearance
 from sim.scenario.types import DEFAULT_AGE, Scenario, Uav, Ugv, altitude_limits
 
 
@@ -53,15 +52,29 @@ def detector_noise(scenario: Scenario, uav: Uav) -> float:
     return float(noise_at(noise, reference, 0.0, limits.initial_altitude))
 
 
+def hiding_fault(scenario: Scenario, ugv: Ugv, driver: str | None = None) -> str:
+    """Return why buildings may hide a UGV from certified UAVs; empty if they cannot.
+
+    Arguments as in `clearance_fault`.
+    """
+    return clearance_fault(scenario, ugv, driver) if can_hide(scenario, ugv) else ""
+
+
+def can_hide(scenario: Scenario, ugv: Ugv) -> bool:
+    """Return whether any building is higher than a UGV's marker."""
+    tallest = max_building_height(scenario)
+    return tallest is not None and tallest > ugv.marker_height
+
+
 def clearance_notice(scenario: Scenario, name: str, driver: str) -> str:
     """Return a warning if a new driver of a UGV ends the clearance that certificates assume; else empty."""
     ugv = next(one for one in scenario.ugv if one.name == name)
     assumed = guaranteed_clearance(scenario, ugv)
-    if assumed <= guaranteed_clearance(scenario, msgspec.structs.replace(ugv, driver=driver)):
+    if assumed <= guaranteed_clearance(scenario, ugv, driver):
         return ""
     return (
         f"{name}: the driver {driver} keeps no distance from buildings, but the UAV's certificates assume "
-        f"{assumed:g} m; see docs/explanation/guarantee.md"
+        f"{assumed:g} m: no tick counts as certified; see docs/explanation/guarantee.md"
     )
 
 
@@ -149,8 +162,17 @@ def _common(scenario: Scenario, vehicle: Uav | Ugv, seed: int, secret: str) -> d
     }
 
 
-def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> UavBriefing:
-    """Return the briefing of a UAV; arguments and errors as in `briefing`."""
+def uav_briefing(
+    scenario: Scenario,
+    name: str,
+    seed: int,
+    secret: str = "",
+    drivers: Mapping[str, str] | None = None,
+) -> UavBriefing:
+    """Return the briefing of a UAV; arguments and errors as in `briefing`.
+
+    `drivers`: Drivers in control from the start, by UGV, instead of the scenario's; `EXTERNAL` for external actions.
+    """
     uav = {one.name: one for one in scenario.uav}[name]
     escorted = {ugv.name: ugv for ugv in scenario.ugv}[uav.escorts]
     altitude = altitude_limits(scenario, uav)
@@ -176,7 +198,9 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         altitude=altitude,
         camera=None if altitude is None else scenario.camera,
         marker_height=escorted.marker_height,
-        building_clearance=guaranteed_clearance(scenario, escorted),
+        building_clearance=guaranteed_clearance(
+            scenario, escorted, (drivers or {}).get(escorted.name)
+        ),
         max_building_height=max_building_height(scenario),
         origin=scenario.origin,
     )
@@ -213,12 +237,24 @@ def ugv_delay(scenario: Scenario, ugv: str) -> float:
     return longest_delay(scenario.links.of(ugv, LinkKind.COMMANDS), scenario.links.traces)
 
 
-def briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> Briefing:
+def briefing(
+    scenario: Scenario,
+    name: str,
+    seed: int,
+    secret: str = "",
+    drivers: Mapping[str, str] | None = None,
+) -> Briefing:
     """Return the briefing of a vehicle in a run with this seed and secret; it contains neither.
+
+    Args:
+        scenario: Scenario of the run.
+        name: The vehicle.
+        seed, secret: Seed and secret of the run.
+        drivers: As in `uav_briefing`.
 
     Raises:
         KeyError: If the scenario has no such vehicle.
     """
     if any(ugv.name == name for ugv in scenario.ugv):
         return ugv_briefing(scenario, name, seed, secret)
-    return uav_briefing(scenario, name, seed, secret)
+    return uav_briefing(scenario, name, seed, secret, drivers)

@@ -2,25 +2,37 @@
 
 from collections.abc import Iterator
 
-from bus.registry import CAUTIONS
+from bus.registry import CAUTIONS, DRIVERS
 from sim.scenario.types import Scenario, Ugv
 
 _TILES_TO_STOP = 1.5
 """Tiles between the clearance of a building and a free point, or tile: more than the diagonal of a tile."""
 
 
-def guaranteed_clearance(scenario: Scenario, ugv: Ugv) -> float:
-    """Return the distance from every building that a UGV guarantees to keep [m]; 0: none."""
-    return 0.0 if clearance_fault(scenario, ugv) else ugv.building_clearance
+def guaranteed_clearance(scenario: Scenario, ugv: Ugv, driver: str | None = None) -> float:
+    """Return the distance from every building that a UGV guarantees to keep [m]; 0: none.
+
+    Arguments as in `clearance_fault`.
+    """
+    return 0.0 if clearance_fault(scenario, ugv, driver) else ugv.building_clearance
 
 
-def clearance_fault(scenario: Scenario, ugv: Ugv) -> str:
+def clearance_fault(scenario: Scenario, ugv: Ugv, driver: str | None = None) -> str:
     """Return why a UGV guarantees no distance from buildings; empty if it does.
 
     The cautious driver `navigate` keeps it from known buildings. From unknown ones it does so if all reports are
     true: a UGV beside a false alarm leaves tiles that it takes for blocked, past ground that it does not know.
+
+    Args:
+        scenario: The scenario.
+        ugv: The UGV.
+        driver: Driver in control, `EXTERNAL` for external actions; None: the scenario's.
     """
-    if ugv.driver != "navigate" or ugv.caution != CAUTIONS[0]:
+    name = driver or ugv.driver
+    if ugv.keeps_clearance and name in DRIVERS and (DRIVERS[name].outside or DRIVERS[name].own):
+        return "" if ugv.building_clearance > 0.0 else "building_clearance = 0"
+    # a UGV executes the stops of `navigate` only if the scenario names that driver
+    if {name, ugv.driver} != {"navigate"} or ugv.caution != CAUTIONS[0]:
         return f'requires driver = "navigate" and caution = "{CAUTIONS[0]}"'
     if ugv.velocity != (0.0, 0.0):
         return "the UGV starts moving"

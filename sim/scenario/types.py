@@ -150,6 +150,8 @@ class Ugv(Table, frozen=True, kw_only=True):
     every UGV a way to its goals. The cautious driver `navigate` keeps it; from unknown buildings only with
     `ground.miss` = 0 and `ground.false_alarm` = 0.
     """
+    keeps_clearance: bool = False
+    """True: your own program (driver `external` or `policy`, or external actions) keeps `building_clearance`."""
 
 
 DEFAULT_AGE = 1.0
