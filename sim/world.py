@@ -19,7 +19,7 @@ from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
 from sim.engine.batch import Batch
 from sim.engine.ground_state import CONSTANTS, GroundState
-from sim.engine.mission import mission_of, receive_block, record_claim
+from sim.engine.mission import keeps_clearance, mission_of, receive_block, record_claim
 from sim.engine.run_keys import check_seed
 from sim.engine.world_state import BatchState, BatchTables
 from sim.engine.world_tick import measure
@@ -297,6 +297,18 @@ class World:
             claim = CERTIFIED if report.certified else _CODES.get(report.uncertified, WAY_UNKNOWN)
         ugv = int(np.flatnonzero(self.ground.ugvs == vehicle)[0])
         record_claim(self.ground.missions[0], ugv, claim)
+
+    def guarantee_clearance(self, vehicle: int, *, kept: bool) -> None:
+        """Set whether the driver in control of a UGV guarantees its distance from buildings."""
+        if self.ground is not None:
+            self.ground.clearances["guaranteed"][self.ground.ugvs == vehicle] = kept
+
+    def keeps_clearance(self, uav: int) -> bool:
+        """Return whether a UAV's UGV keeps the distance from buildings that certificates assume."""
+        if self.ground is None:
+            return True
+        ugv = int(np.flatnonzero(self.ground.ugvs == self.escorts[uav, 1])[0])
+        return bool(keeps_clearance(self.ground.clearances, self.ground.missions[0], ugv))
 
     @property
     def tiles(self) -> TileArray:

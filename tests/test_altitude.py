@@ -1,15 +1,23 @@
 """Vertical motion, the radius of sight by altitude, and the lemma that buildings hide no UGV within it."""
 
+import csv
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agents.control.altitude import climb_to
 from agents.safety.levels import levels_of, lowest_certified
+from bus.messages.decision import NotCertified
+from bus.messages.telemetry import EscortTruth, Status
+from bus.messages.vehicle import Teleoperation
+from flights import altered
+from outrider.cli.console import OUT, print_summary
 from outrider.running.altitude_assumptions import certified_from
 from outrider.running.assumptions import assumption_warnings, how_certifiable
-from outrider.running.flying import fly
+from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.summary import summarize
 from processes import flown_both_ways
 from sim.engine.briefing import uav_briefing
 from sim.models.altitude import level_off, levelling_height, lowest_ahead, step_altitude
@@ -145,6 +153,92 @@ def test_a_change_of_driver_that_ends_the_clearance_is_reported() -> None:
     flight.assign_driver("ugv_0", "wander")
     (line,) = notices
     assert "ugv_0: the driver wander keeps no distance from buildings" in line
+
+
+class Steered(InProcess):
+    """An operator steers the UGV to the nearest building; then it navigates on, or another driver takes over."""
+
+    def __init__(self, flight: Flight, then: str) -> None:
+        super().__init__(make_pilots(flight.scenario, flight.seed))
+        self._flight, self._then = flight, then
+
+    def begin(self, tick: int) -> None:
+        flight = self._flight
+        if tick in (40, 600):
+            flight.assign_driver("ugv_0", "teleop" if tick == 40 else self._then)
+        if 40 <= tick < 600 and tick % 20 == 0:
+            centers = [np.mean(one.polygon, axis=0) for one in flight.world.buildings]
+            ways = np.array(centers) - flight.world.position[1]
+            way = ways[np.argmin(np.hypot(*ways.T))]
+            velocity = tuple(0.2 * way / np.hypot(*way))
+            flight.teleoperate("ugv_0", Teleoperation(operator="anna", velocity=velocity))
+
+
+def steered(seed: int, then: str = "navigate") -> tuple[Flight, list[EscortTruth], list[Status]]:
+    """Return a flight over a town whose UGV is steered, with its truths and statuses, one per tick."""
+    changes = ["altitude.law=best", "uav.0.max_altitude=20", "uav.0.min_altitude=7"]
+    changes += ["uav.0.initial_altitude=8", "duration=36"]
+    flight = Flight(load_scenario("town", overrides=changes), seed, on_notice=lambda line: None)
+    truths, statuses = list[EscortTruth](), list[Status]()
+
+    def follow() -> None:
+        statuses.append(flight.status())
+        truths.extend(flight.truth().escorts)
+
+    flight.fly(Steered(flight, then), on_tick=follow)
+    return flight, truths, statuses
+
+
+def test_ticks_of_an_operator_near_buildings_are_not_certified(tmp_path: Path) -> None:
+    """The UAV does not know the operator, who hides the UGV; the simulator does, and accuses no certificate."""
+    flight, truths, statuses = steered(7)
+    summary = summarize(flight, seconds=1.0)
+    for tick, (truth, status) in enumerate(zip(truths, statuses, strict=True)):
+        assert truth.report is not None
+        assert truth.report.decision is not None
+        claimed, held = truth.report.decision.certified, truth.revoked is None
+        assert held == (tick < 40 or not claimed)
+        assert status.certified == {"uav_0": claimed and held}
+        assert len(status.warnings) == (40 <= tick < 600)
+        if claimed and not held:
+            assert status.uncertified == {"uav_0": NotCertified.NO_CLEARANCE}
+    assert summary.certified_share == 40 / len(truths)
+    assert summary.uncertified[NotCertified.NO_CLEARANCE] > 500
+    assert summary.visibility_violations > 40
+    assert (summary.certified_while_lost, summary.certificate_broken) == (0, 0)
+    assert summary.lost_without_clearance is not None
+    assert summary.lost_without_clearance > 10
+    assert summary.mission is not None
+    assert summary.mission.near_building == summary.mission.near_building_excused
+    assert (summary.mission.near_building or 0) > 100
+    flight.recorder.write(tmp_path / "trajectory.csv")
+    with (tmp_path / "trajectory.csv").open(newline="", encoding="utf-8") as file:
+        certified = [row["uav_0.certified"] for row in csv.DictReader(file)]
+    assert certified == ["1"] * 40 + ["0"] * (len(truths) - 40) + [""]
+    with OUT.capture() as captured:
+        print_summary(summary, [])
+    assert "explained by the driver" in captured.get()
+    assert "contradicts" not in captured.get()
+
+
+@pytest.mark.parametrize(("then", "again"), [("navigate", True), ("wander", False)])
+def test_certificates_count_again_only_if_the_ugv_navigates(then: str, again: bool) -> None:
+    """This operator does not come near a building."""
+    _, truths, statuses = steered(2, then)
+    assert all(
+        status.certified["uav_0"] == (tick < 40) for tick, status in enumerate(statuses[:600])
+    )
+    assert {status.certified["uav_0"] for status in statuses[630:]} == {again}
+    assert all(truth.report and truth.report.decision for truth in truths)
+
+
+def test_ugv_program_that_reports_nothing_keeps_no_clearance() -> None:
+    """The scenario names the driver navigate, but another program drives."""
+    scenario = load_scenario("town", overrides=["duration=2"])
+    flight = Flight(scenario, 7)
+    flight.fly(altered(make_pilots(scenario, 7), "ugv_0", lambda seen: {"report": None}))
+    assert flight.answers.assurance.certified == 0
+    assert set(flight.answers.assurance.reasons) == {NotCertified.NO_CLEARANCE}
 
 
 def test_the_hash_of_a_trajectory_covers_the_altitude() -> None:

@@ -132,6 +132,85 @@ def test_filter_keeps_diving_actions_in_sight() -> None:
     assert worlds.worlds.loop.state.batch.vehicles["vertical"]["altitude"][:, 0].min() < 13.0
 
 
+@pytest.mark.parametrize("pilots_of", [{"ugv_0": "wander"}, {}], ids=["wander", "navigate"])
+def test_batches_certify_only_beside_a_ugv_that_keeps_clear(pilots_of: dict[str, str]) -> None:
+    loop = ClosedLoop(town("duration=10"), 4, pilots=pilots_of, end_on_sight_lost=False)
+    loop.begin([1, 2, 3, 4])
+    loop.fly()
+    metrics = loop.metrics("uav_0")
+    assert [metrics[name].sum() for name in COUNTERS] == [0.0, 0.0]
+    assert (metrics["certified"] > 0.9).tolist() == [not pilots_of] * 4
+    assert (metrics["certified"] > 0.0).tolist() == [not pilots_of] * 4
+
+
+def still(rows: Any) -> Any:
+    return np.zeros((len(rows["row"]), 2))
+
+
+DECLARED = "ugv.0.keeps_clearance=true"
+
+
+@pytest.mark.parametrize(
+    ("change", "driver", "certified"),
+    [
+        ("seed=1", "wander", False),
+        (DECLARED, "wander", False),
+        ("seed=1", still, False),
+        (DECLARED, still, True),
+        ("seed=1", "navigate", True),
+        ("ugv.0.driver=wander", "navigate", False),  # its receiver executes no stops
+    ],
+)
+def test_environments_brief_uavs_for_the_driver_in_control(
+    change: str, driver: Any, certified: bool
+) -> None:
+    worlds = outrider.vector_env(
+        town(change), num_envs=2, others={"ugv_0": driver}, safety_filter=True
+    )
+    single = outrider.single_env(town(change), others={"ugv_0": driver}, safety_filter=True)
+    worlds.reset(seed=1)
+    single.reset(seed=1)
+    for _ in range(20):
+        *_, infos = worlds.step(np.zeros((2, 3)))
+        *_, info = single.step(np.zeros(3))
+    assert infos["certified"].tolist() == [certified] * 2
+    assert info["certified"] is certified
+    assert (worlds.metrics()["uav_0"]["certified"] > 0.5).tolist() == [certified] * 2
+
+
+@pytest.mark.parametrize(("change", "kept"), [("seed=1", 0.0), (DECLARED, 1.5)])
+def test_external_ugv_keeps_only_a_declared_clearance(change: str, kept: float) -> None:
+    env = outrider.parallel_env(town(change), safety_filter=True, end_on_sight_lost=False)
+    env.reset(seed=1)
+    assert env.briefing("uav_0").building_clearance == kept
+    for _ in range(20):
+        *_, infos = env.step({"uav_0": [0.0, 0.0, 0.0], "ugv_0": [0.0, 0.0]})
+    assert infos["uav_0"]["certified"] == (kept > 0.0)
+
+
+def test_ugv_that_breaks_its_declared_clearance_is_counted() -> None:
+    """It drives into a house; the certificate is not accused of what then hides it."""
+    house = "building=[{height=5, polygon=[[10, 5], [20, 5], [20, 30], [10, 30]]}]"
+    start = ["ugv.0.position=[7.5, 15]", "ugv.0.goals=[]", "ugv.0.building_clearance=1"]
+    start += ["uav.0.position=[4.5, 15]", "uav.0.initial_altitude=8", DECLARED]
+    env = outrider.single_env(
+        town("building_field=[]", house, *start, "duration=30"),
+        others={"ugv_0": lambda rows: np.full((1, 2), (0.1, 0.0))},
+        safety_filter=True,
+        end_on_sight_lost=False,
+    )
+    env.reset(seed=1)
+    while not env.step(np.array([0.1, 0.0, -1.0]))[3]:
+        pass
+    metrics, mission = env.metrics()["uav_0"], env.worlds.mission(0)
+    assert mission is not None
+    assert mission.near_building is not None
+    assert mission.near_building > 100
+    assert mission.near_building_excused == 0
+    assert 0.0 < metrics["certified"] < 0.9
+    assert metrics["certified_while_lost"] == 0.0
+
+
 @pytest.mark.parametrize("clearance", [1.5, 0.01], ids=["certified", "never certified"])
 def test_no_filtered_uav_touches_a_building(clearance: float) -> None:
     changes = ["duration=60", "uav.0.min_altitude=1", f"ugv.0.building_clearance={clearance}"]

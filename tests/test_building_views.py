@@ -124,7 +124,7 @@ def test_texts_of_ticks_with_altitude_are_their_messages() -> None:
     truths.append(flown.truth())
     flown.fly(InProcess(make_pilots(one, 3)), on_tick=lambda: truths.append(flown.truth()))
     asked = np.array([[v.command for v in truth.vehicles.values()] for truth in truths])
-    reports = [tuple(escort.report for escort in truth.escorts) for truth in truths]
+    reports = [tuple((one.report, one.revoked) for one in truth.escorts) for truth in truths]
     for first in (0, 1):
         found = list(TickTexts(flown).of(first, asked[first:], reports[first:]))
         assert [tick.truth for tick in found] == [ENCODE(truth) for truth in truths[first:]]

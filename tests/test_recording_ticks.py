@@ -67,7 +67,7 @@ def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, 
     for first in range(0, len(truths), block):
         part = truths[first : first + block]
         asked = [[vehicle.command for vehicle in truth.vehicles.values()] for truth in part]
-        reports = [tuple(one.report for one in truth.escorts) for truth in part]
+        reports = [tuple((one.report, one.revoked) for one in truth.escorts) for truth in part]
         found_of_block = texts.of(first, np.array(asked), reports)
         for k, (truth, found) in enumerate(zip(part, found_of_block, strict=True), first):
             assert found.truth == ENCODE(truth)

@@ -30,6 +30,8 @@ class NotCertified(StrEnum):
     TOO_LOW = "TOO_LOW"
     NO_REPORT = "NO_REPORT"
     """Given by the simulator, never by a filter: counts ticks without a report from a filter."""
+    NO_CLEARANCE = "NO_CLEARANCE"
+    """Given by the simulator, never by a filter: the UAV does not know which driver is in control of the UGV."""
 
     @property
     def text(self) -> str:
@@ -49,6 +51,8 @@ WHAT_HAPPENED = {
     NotCertified.UNCHECKED_PLAN: "the UAV executes, or may start, a plan that was not checked from its state",
     NotCertified.TOO_LOW: "the UAV is, or will be, below the lowest altitude that can be certified",
     NotCertified.NO_REPORT: "the UAV has no estimate yet, or its command did not arrive",
+    NotCertified.NO_CLEARANCE: "the driver of the UGV keeps no distance from buildings, or the UGV is nearer than it "
+    "declares",
 }
 """Plain-English description of each reason."""
 

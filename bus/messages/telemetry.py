@@ -61,6 +61,8 @@ class EscortTruth(Message, frozen=True, kw_only=True):
     """Detected relative position at this tick [m]; None: no detection."""
     report: UavReport | None
     """Report of the UAV at the last tick."""
+    revoked: NotCertified | None = None
+    """Reason why the certificate in this report does not hold, which the UAV cannot know; None: no such reason."""
 
 
 class Truth(Message, frozen=True, kw_only=True):
@@ -107,8 +109,9 @@ class UgvGuarantee(Message, frozen=True, kw_only=True):
     0 disproves the guarantee.
     """
     near_building: Tick = 0
-    """Ticks in which it was nearer to a building than its `building_clearance`. Any but 0 disproves what it declares.
-    """
+    """Ticks in which it was nearer to a building than its `building_clearance`."""
+    near_building_excused: Tick = 0
+    """Of these, ticks under a driver that guarantees no distance. Any further tick disproves what the UGV declares."""
 
 
 class MissionResult(Message, frozen=True, kw_only=True):
@@ -138,6 +141,8 @@ class MissionResult(Message, frozen=True, kw_only=True):
     """Sum of `UgvGuarantee.certificate_broken` over all UGVs."""
     near_building: Tick | None = None
     """Sum of `UgvGuarantee.near_building` over all UGVs; None: no UGV declares a distance."""
+    near_building_excused: Tick | None = None
+    """Sum of `UgvGuarantee.near_building_excused` over all UGVs; None: no UGV declares a distance."""
     guarantees: dict[Name, UgvGuarantee] = {}
     """Guarantee of each UGV, by name."""
     stationary_time: NonNegative
@@ -211,6 +216,10 @@ class CertificateStatus(Message, frozen=True, kw_only=True):
     """Ticks that were not certified, by reason."""
     certified_while_lost: Tick = 0
     """Ticks certified although the UGV was out of sight. Any but 0 disproves the certificate."""
+    lost_without_clearance: Tick | None = None
+    """Ticks that a UAV reported as certified with the UGV out of sight, while the UGV kept no distance from buildings:
+    explained by its driver. None: no certificate was revoked for this reason.
+    """
     certificate_broken: Tick = 0
     """Uncertified ticks after a certified one, although all assumptions held. Any but 0 disproves the certificate."""
     max_command_interval: NonNegative | None = None
@@ -265,8 +274,8 @@ class Status(Message, frozen=True, kw_only=True):
     mission: MissionResult | None = None
     """Result of the mission so far; None: no hazards."""
     warnings: tuple[Text, ...] = ()
-    """Assumptions of the certificate that the current links can violate, one line each, at most 50; a longer line is
-    shortened in the middle.
+    """Assumptions of the certificate that the current links or drivers can violate, one line each, at most 50; a longer
+    line is shortened in the middle.
     """
     links: dict[Text, LinkStatus] = {}
     """Counters of each link, by `vehicle/kind`."""

@@ -142,7 +142,7 @@ def _filter(run: Run, view: View, u_x: float, u_y: float, u_z: float) -> Order:
         u_z = decision.vertical_acceleration
         certified, acted = decision.reason == CERTIFIED, decision.source != NOMINAL
         lost = view.distance >= sight_radius(run.heights, run.state, conditions.r_v)
-        said = Claim(certified, acted, lost, True)
+        said = Claim(certified, acted, lost, True, True)
         record_decision(run.bounds, counts, view.tick, said)
         return Order(u_x, u_y, u_z, acted, certified, not conditions.bare, True)
     return Order(u_x, u_y, u_z, False, False, False, False)
@@ -271,7 +271,7 @@ def _finish(run: Run, ticks: int) -> None:
     """Write the result of a run with this number of ticks."""
     counts, result, sums = run.scratch.counts[0], run.results[0], run.scratch.sums[0]
     radius = sight_radius(run.heights, run.state, run.conditions.r_v)
-    record_end(counts, apart(run.scratch.now)[2] >= radius)
+    record_end(counts, apart(run.scratch.now)[2] >= radius, True)
     result.certified_lost += counts.certified_while_lost
     result.broken = counts.broken
     result.overridden = sums.overridden / (ticks + 1)

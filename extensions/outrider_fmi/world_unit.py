@@ -108,7 +108,7 @@ class WorldUnit:
 
     def _outputs(self) -> dict[str, float]:
         flight = self._flight
-        flight.recorder.record(flight.answers.reports)
+        flight.take_down()
         states, escorts = flight.recorder.states, flight.recorder.escorts
         now, before = states[-1].tolist(), states[-2:][0].tolist()
         applied = [[0.0, 0.0]] * len(now) if len(states) < 2 else [row[4:] for row in before]

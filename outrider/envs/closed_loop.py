@@ -30,11 +30,18 @@ from outrider.envs.closed_loop_state import (
 )
 from outrider.envs.closed_loop_tick import run_worlds
 from outrider.envs.initial_grids import grids_of, map_random_buildings
-from outrider.envs.pilot_numbers import PilotNumbers, loop_parameters, repeated, uses_radio
+from outrider.envs.pilot_numbers import (
+    PilotNumbers,
+    drivers_in_control,
+    loop_parameters,
+    repeated,
+    uses_radio,
+)
 from sim.channel.link_records import no_packets
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
 from sim.engine.batch import Batch, Fresh
+from sim.engine.ground_state import set_driver
 from sim.engine.mission import mission_of
 from sim.engine.monitor import certificate_counters
 from sim.engine.run_keys import check_secret
@@ -98,6 +105,10 @@ class ClosedLoop:
             secret=self._secret,
             others=(LinkKind.RADIO,),
         )
+        self.drivers = drivers_in_control(scenario, self.external, chosen)
+        """Driver in control of each UGV, `EXTERNAL` for external actions."""
+        for name, driver in self.drivers.items():
+            set_driver(scenario, self.batch.ground, name, driver)
         rows = row_tables(scenario, options, error=error)
         self.has_error = bool(rows.episode["error"][0])
         """True if e(t) is computed at every tick."""
@@ -271,9 +282,11 @@ class ClosedLoop:
         """Return the true metrics of a UAV's episode so far, in each world; arrays of shape (worlds,).
 
         `mean_error` is the mean of e(t) [m²] over the ticks so far, including the first; NaN if e(t) is not computed.
-        `certified_while_lost` counts the ticks that the safety filter certified with the UGV out of sight.
+        `certified_while_lost` counts the certified ticks with the UGV out of sight.
         `certificate_broken` counts the ticks that it did not certify although the previous tick was certified and all
-        assumptions held. Any count above zero is a fault of the certificate.
+        assumptions held. Any count above zero is a fault of the certificate. `lost_without_clearance` counts the ticks
+        that the filter certified with the UGV out of sight, while the UGV was nearer to a building than the filter may
+        assume: they are not counted as certified.
         """
         ticks, counts = self.state.batch.ticks, self.state.certificates[:, self.uavs.index(uav)]
         standings = self.state.rows.standings[:, self.names.index(uav)]
@@ -289,6 +302,7 @@ class ClosedLoop:
             "overridden": counts["overridden"] / watched,
             "certified": counts["certified"] / watched,
             "certified_while_lost": counts["certified_while_lost"].astype(np.float64),
+            "lost_without_clearance": counts["lost_without_clearance"].astype(np.float64),
             "certificate_broken": counts["broken"].astype(np.float64),
         }
 

@@ -17,6 +17,7 @@ from sim.channel.link_records import ARRIVED
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined, released
 from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState
+from sim.engine.mission import keeps_clearance
 from sim.engine.monitor import (
     NEVER,
     CertificateCounters,
@@ -164,7 +165,9 @@ def _count_actions(tables: LoopTables, state: LoopState, world: int, tick: int) 
 
 
 @inlined
-def _count_certificates(tables: LoopTables, state: LoopState, world: int, over: bool) -> None:
+def _count_certificates(
+    tables: LoopTables, state: LoopState, ground: GroundState | None, world: int, over: bool
+) -> None:
     """Update the certificate counters of the UAVs for this tick."""
     escorts, filtered, monitored = tables.batch.escorts, tables.filtered, tables.monitored
     disturbed = tables.batch.disturbances.shape[0] > 0
@@ -173,7 +176,10 @@ def _count_certificates(tables: LoopTables, state: LoopState, world: int, over: 
     for u in range(escorts.shape[0]):
         v = escorts[u, 0]
         if over:
-            record_end(counts[world, u], standings[world, v].lost)
+            clear, ugv = True, tables.receivers[u]
+            if ground is not None:
+                clear = keeps_clearance(ground.clearances, ground.missions[world], ugv)
+            record_end(counts[world, u], standings[world, v].lost, clear)
         elif filtered[u]:
             come, arrived = packets[world, u, ARRIVED], links[world, u].arrived
             one = vehicles[world, v]
@@ -222,7 +228,7 @@ def run_worlds(
             advance_rows(tables.batch, batch, ground, tables.rows, state.rows, k, beginning)
             over = state.rows.terminated[k] or state.rows.truncated[k]
             if parameters is not None:
-                _count_certificates(tables, state, k, over)
+                _count_certificates(tables, state, ground, k, over)
             if tick == ticks - 1 or over or beginning:
                 observe_rows(tables.batch, batch, tables.rows, state.rows, k)
                 if parameters is not None:

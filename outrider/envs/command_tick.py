@@ -24,7 +24,7 @@ from outrider.envs.vehicle_parts import filter_of, grid_of, map_of, reference_of
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
 from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState
-from sim.engine.mission import goals_of, record_claim
+from sim.engine.mission import goals_of, keeps_clearance, record_claim
 from sim.engine.monitor import Claim, record_decision
 from sim.models.vehicles import Motion
 
@@ -37,12 +37,12 @@ def _fly(
     parameters: LoopParameters,
     tables: LoopTables,
     state: LoopState,
-    world: int,
-    vehicle: int,
-    uav: int,
+    ground: GroundState | None,
+    place: tuple[int, int, int],
     actions: FloatArray,
 ) -> None:
-    """Write the command of a UAV, and its radio messages."""
+    """Write the command of a UAV, and its radio messages. `place`: world, row among all vehicles and among the UAVs."""
+    world, vehicle, uav = place
     batch, action_row = state.batch, tables.action_row[vehicle]
     tick, standing = batch.ticks[world], state.rows.standings[world, vehicle]
     one = batch.vehicles[world, vehicle]
@@ -70,7 +70,12 @@ def _fly(
         certified, overridden = decision.reason == CERTIFIED, decision.source != NOMINAL
         # a pilot without a detection sends no report
         reports = target.known or action_row >= 0
-        claim = Claim(certified, reports and overridden, standing.lost, True)
+        clear = True
+        if ground is not None:
+            clear = keeps_clearance(
+                ground.clearances, ground.missions[world], tables.receivers[uav]
+            )
+        claim = Claim(certified, reports and overridden, standing.lost, True, clear)
         record_decision(tables.monitored[uav], state.certificates[world, uav], tick, claim)
         one.outgoing_motion, one.outgoing_motions = add_plans(
             bounds, memory.pending, tick, batch.motions[world, vehicle]
@@ -153,7 +158,7 @@ def command(
     for v in range(tables.rows.place.shape[0]):
         place = tables.rows.place[v]
         if place >= 0:
-            _fly(parameters, tables, state, world, v, place, actions)
+            _fly(parameters, tables, state, ground, (world, v, place), actions)
         else:
             _drive(tables, state, ground, world, v, -1 - place, actions)
 

@@ -316,7 +316,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """
         if agent not in self.action_spaces:
             raise ValueError(f"agent = {agent!r}; allowed: {', '.join(self.possible_agents)}")
-        return briefing(self.scenario, agent, self.episode_seed, self.secret)
+        drivers = self.worlds.loop.drivers
+        return briefing(self.scenario, agent, self.episode_seed, self.secret, drivers)
 
     def _follow(self) -> None:
         if self._view is not None:

@@ -92,7 +92,8 @@ def _put(flight: Flight, truth: Truth) -> None:
     for k, uav in enumerate(world.uavs):
         found = escorts[uav.name].detection
         world.vehicles["detection"][world.escorts[k, 0]] = found or (np.nan, np.nan)
-    flight.recorder.record([escorts[uav.name].report for uav in world.uavs])
+    given = [escorts[uav.name] for uav in world.uavs]
+    flight.recorder.record([one.report for one in given], [one.revoked for one in given])
 
 
 def external_uavs(recording: Recording) -> set[str]:

@@ -12,14 +12,15 @@ import msgspec
 import numpy as np
 
 from bus.messages.base import Vector
+from bus.messages.decision import NotCertified
 from bus.messages.telemetry import EscortTruth, Truth, VehicleTruth
 from bus.messages.vehicle import UavReport
 from outrider.recording.schemas import Commands
 from sim.compiling.compile import FloatArray
 from sim.server.flight import Flight
 
-Reports = Sequence[UavReport | None]
-"""Report of each UAV; None: no report."""
+Reports = Sequence[tuple[UavReport | None, NotCertified | None]]
+"""`report` and `revoked` of each `EscortTruth`."""
 
 _VERTICAL = ("altitude", "climb_rate", "vertical_acceleration")
 _TICK, _MARK = 700_000, 700_001
@@ -76,7 +77,7 @@ class TickTexts:
                 uav=uav.name,
                 ugv=uav.escorts,
                 distance=self._number(),
-                **self._numbers_of("sight_radius"),
+                sight_radius=self._number() if self._climbs else None,
                 coverage_error=self._number(),
                 detection=self._pair(),
                 report=None,
@@ -110,7 +111,7 @@ class TickTexts:
         for number in range(_MARK, self._marks):
             text = text.replace(b"%d.0" % number, b"%b")
         return text.replace(b'"tick":%d' % _TICK, b'"tick":%d').replace(
-            b'"report":null', b'"report":%b'
+            b'"report":null,"revoked":null', b'"report":%b'
         )
 
     def _numbers(self, first: int, commands: FloatArray) -> FloatArray:
@@ -166,9 +167,10 @@ class TickTexts:
         radii = numbers[:, at + 1 :: step].tolist() if self._climbs else [None] * len(numbers)
         for k, tick_reports in enumerate(reports):
             tick, row = first + k, texts[k * width : (k + 1) * width]
-            for escort, report in enumerate(tick_reports):
-                if report is not None:
-                    row[at + step * (escort + 1) - 1] = encode(report)
+            for escort, (report, revoked) in enumerate(tick_reports):
+                row[at + step * (escort + 1) - 1] = (
+                    encode(report) + b',"revoked":' + encode(revoked)
+                )
             truth = (self._truth % (tick, *row)).replace(b"[null,null]", b"null")  # no detection
             asked = self._commands % (tick - 1, *self._asked(row)) if tick else b""
             yield Tick(tick * dt, (tick - 1) * dt, truth, asked, distances[k], radii[k], states[k])

@@ -15,10 +15,10 @@ from bus.messages.base import fitted_lines
 from bus.messages.control import Action, Change, Control
 from bus.messages.ground import GroundMap, Hazard
 from bus.messages.telemetry import CoverageMap, Status, VehicleStatus
-from bus.messages.vehicle import Teleoperation, UavReport
+from bus.messages.vehicle import Teleoperation
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.schemas import CHANGES, COVERAGE, GROUND, STATUS, head_of
-from outrider.recording.tick_rows import TickTexts
+from outrider.recording.tick_rows import Reports, TickTexts
 from outrider.running.assumptions import assumption_warnings
 from sim.compiling.compile import FloatArray
 from sim.scenario.types import Scenario
@@ -51,7 +51,7 @@ class _Received(NamedTuple):
     command: Teleoperation
 
 
-_Flown = tuple[bytes, tuple[UavReport | None, ...]]
+_Flown = tuple[bytes, Reports]
 """Part of a tick that the flight's record does not hold: the commands as float64, and the UAVs' reports."""
 _Other = _Received | Change | CoverageMap | GroundMap | Status | str
 """Other content of a recording; a text is a log line."""
@@ -141,9 +141,8 @@ class FlightRecorder:
                 (flight, tick, None, change) for change in flight.degradations[self._degradations :]
             )
             self._degradations = len(flight.degradations)
-        items.append(
-            (flight, tick, (flight.commands.tobytes(), tuple(flight.answers.reports)), None)
-        )
+        reports = zip(flight.answers.reports, flight.answers.revoked, strict=True)
+        items.append((flight, tick, (flight.commands.tobytes(), tuple(reports)), None))
         while self._early:
             self.event(self._early.pop(0))
         if tick >= self._next_map or tick >= self._next_status or flight.over:
@@ -258,7 +257,7 @@ class FlightRecorder:
 
     def _write_ticks(self, flight: Flight, first: int) -> None:
         commands: list[bytes] = []
-        reports: list[tuple[UavReport | None, ...]] = []
+        reports: list[Reports] = []
         rows = flight.recorder.rows
         while len(reports) < _BLOCK and self._items and first + len(reports) < rows:
             owner, tick, flown, _ = self._items[0]

@@ -129,6 +129,10 @@ CERTIFICATE = _table(
     Metric("certified_while_lost", "certified while lost", "ticks", 0,
            "Certified ticks at which the UGV was out of sight.",
            goal=0.0, guaranteed=True, column="int64"),
+    Metric("lost_without_clearance", "out of sight, explained by the driver", "ticks", 0,
+           "Ticks that a UAV certified with the UGV out of sight, while the UGV kept no distance "
+           "from buildings; none unless a certificate was revoked for this reason.",
+           column="int64"),
     Metric("certificate_broken", "certificate broken", "ticks", 0,
            "Uncertified ticks after a certified one, although all assumptions held.",
            goal=0.0, guaranteed=True, column="int64"),
@@ -181,6 +185,9 @@ MISSION = _table(
     Metric("near_building", "too near to a building", "ticks", 0,
            "Ticks in which a UGV was nearer to a building than its `building_clearance`; none "
            "if no UGV declares one.", total="sum", goal=0.0, column="int64"),
+    Metric("near_building_excused", "of these, explained by the driver", "ticks", 0,
+           "Ticks of `near_building` under a driver that guarantees no distance, such as an operator.",
+           total="sum", column="int64"),
     Metric("stationary_time", "standstill", "s", 1,
            "Time for which UGVs stood still before arrival.",
            total="sum", column="double"),

@@ -78,6 +78,7 @@ class Summary(UavMetrics, frozen=True, kw_only=True):
     uncertified: dict[NotCertified, int] = {}
     """Ticks that were not certified, by reason."""
     certified_while_lost: int = 0
+    lost_without_clearance: int | None = None
     certificate_broken: int = 0
     max_command_interval: float | None = None
     longest_command_interval: float | None = None
@@ -164,6 +165,7 @@ def certificate_fields(status: CertificateStatus | None) -> dict[str, Any]:
         "overridden_share": status.overridden / status.ticks,
         "uncertified": status.uncertified,
         "certified_while_lost": status.certified_while_lost,
+        "lost_without_clearance": status.lost_without_clearance,
         "certificate_broken": status.certificate_broken,
         "max_command_interval": status.max_command_interval,
         "longest_command_interval": status.longest_command_interval,

@@ -8,7 +8,9 @@ import numpy.typing as npt
 
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray, record_type, records
+from sim.engine.briefing import can_hide
 from sim.models.ground import TileArray
+from sim.scenario.clearance import clearance_fault
 from sim.scenario.ground_tables import ground_tables, world_corners
 from sim.scenario.types import Scenario, Ugv
 
@@ -35,6 +37,17 @@ class GroundParameters(NamedTuple):
     """True if the vehicles know the state of every tile: they have a map, and the buildings are the only hazards."""
 
 
+class Clearance(NamedTuple):
+    """Distance of one UGV from buildings, a row of a table."""
+
+    declared: float
+    """`building_clearance` of the scenario [m]; 0: none."""
+    guaranteed: bool
+    """True while the driver in control guarantees it."""
+    needed: bool
+    """True if buildings may hide the UGV."""
+
+
 class Progress(NamedTuple):
     """Mission progress of one UGV, a row of a table."""
 
@@ -47,7 +60,12 @@ class Progress(NamedTuple):
     claim: int
     """Its claim at this tick, a constant of `sim.models.ground`; 0: none."""
     near_building: int
-    """Ticks in which it was nearer to a building than the clearance that it declares."""
+    near_excused: int
+    """Ticks in which it was nearer to a building than the clearance that it declares; of these, ticks under a driver
+    that guarantees none.
+    """
+    near: bool
+    """True if it is nearer at this tick."""
     certified: int
     way_unknown: int
     no_stop: int
@@ -84,8 +102,8 @@ class GroundState(NamedTuple):
     """Row of each UGV among the vehicles. Shape (UGVs,)."""
     strides: FloatArray
     """Longest distance that each UGV drives in a tick [m]. Shape (UGVs,)."""
-    clearances: FloatArray
-    """Distance that each UGV declares to keep from buildings [m]. Shape (UGVs,)."""
+    clearances: RecordArray
+    """`Clearance` of each UGV. Shape (UGVs,)."""
     hazards: RecordArray
     """`HazardRow`: the scenario's hazards, the buildings, then the random hazards. Shape (worlds, hazards)."""
     tiles: TileArray
@@ -147,7 +165,17 @@ def ground_of(scenario: Scenario, worlds: int) -> GroundState | None:
         corners=world_corners(scenario, tables, worlds),
         ugvs=np.array([k for k, _ in rows], dtype=np.int64),
         strides=np.array([one.max_speed * scenario.dt for _, one in rows]),
-        clearances=np.array([one.building_clearance for _, one in rows], dtype=np.float64),
+        clearances=records(
+            Clearance,
+            [
+                Clearance(
+                    declared=one.building_clearance,
+                    guaranteed=not clearance_fault(scenario, one),
+                    needed=can_hide(scenario, one),
+                )
+                for _, one in rows
+            ],
+        ),
         hazards=np.repeat(tables.hazards[None], worlds, axis=0),
         tiles=np.repeat(tables.tiles[None], worlds, axis=0),
         looked=np.zeros((worlds, uavs, *size), np.float32),
@@ -166,6 +194,22 @@ def ground_of(scenario: Scenario, worlds: int) -> GroundState | None:
         near=np.zeros((worlds, ugvs, count), np.int32),
         found=np.zeros((worlds, count), np.int32),
     )
+
+
+def set_driver(scenario: Scenario, ground: GroundState | None, name: str, driver: str) -> None:
+    """Set the driver in control of a UGV, which decides whether it keeps its distance from buildings.
+
+    Args:
+        scenario: The scenario.
+        ground: Ground of all worlds; changed. None: no ground.
+        name: Name of the UGV.
+        driver: Its driver, `EXTERNAL` for external actions.
+    """
+    if ground is None:
+        return
+    ugvs = [one for one in scenario.vehicles if isinstance(one, Ugv)]
+    row = [one.name for one in ugvs].index(name)
+    ground.clearances["guaranteed"][row] = not clearance_fault(scenario, ugvs[row], driver)
 
 
 def _parameters(scenario: Scenario, buildings: range) -> GroundParameters:

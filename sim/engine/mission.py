@@ -78,6 +78,22 @@ def record_claim(ugvs: RecordArray, ugv: int, claim: int) -> None:
 
 
 @compiled
+def keeps_clearance(clearances: RecordArray, ugvs: RecordArray, ugv: int) -> bool:
+    """Return whether a UGV keeps the distance from buildings that certificates assume, or need not keep it.
+
+    The driver in control must guarantee it, must not have reported that it cannot, and must be at this distance.
+
+    Args:
+        clearances: `Clearance` of each UGV. Shape (UGVs,).
+        ugvs: `Progress` of each UGV. Shape (UGVs,).
+        ugv: Index of the UGV.
+    """
+    one, progress = clearances[ugv], ugvs[ugv]
+    doubtful = progress.claim == WAY_UNKNOWN or progress.claim == NO_STOP
+    return not one.needed or (one.guaranteed and not progress.near and not doubtful)
+
+
+@compiled
 def receive_block(
     ground: GroundState,
     world: int,
@@ -149,7 +165,7 @@ def _list_near(hazards: RecordArray, near: TickArray, x: float, y: float) -> int
 @compiled
 def _is_near_building(ground: GroundState, world: int, ugv: int, x: float, y: float) -> bool:
     """Return whether a UGV at (x, y) [m] is nearer to a building than the clearance that it declares."""
-    parameters, clearance = ground.parameters[0], ground.clearances[ugv]
+    parameters, clearance = ground.parameters[0], ground.clearances[ugv].declared
     if clearance == 0.0:
         return False
     hazards = ground.hazards[world]
@@ -168,7 +184,9 @@ def _drive(
     tick, vehicle = state.ticks[world], state.vehicles[world, tables.ugvs[ugv]]
     x, y = vehicle.position[0], vehicle.position[1]
     row, goals = ground.missions[world, ugv], goals_of(tables.goals, tables.goal_rows, ugv)
-    row.near_building += 1 if _is_near_building(ground, world, ugv, x, y) else 0
+    row.near = _is_near_building(ground, world, ugv, x, y)
+    row.near_building += 1 if row.near else 0
+    row.near_excused += 1 if row.near and not ground.clearances[ugv].guaranteed else 0
     if tick > 0:
         way = norm(x - ground.before[world, ugv, 0], y - ground.before[world, ugv, 1])
         tile, (rows, columns) = ground.parameters[0].tile, ground.tiles[world].shape
@@ -214,6 +232,7 @@ def _guarantee(row: RecordArray) -> UgvGuarantee:
         uncertified={UNCERTIFIED[code]: ticks for code, ticks in by_reason.items() if ticks},
         certificate_broken=int(row["broken"]),
         near_building=int(row["near_building"]),
+        near_building_excused=int(row["near_excused"]),
     )
 
 
@@ -236,7 +255,7 @@ def mission_of(
     arrived = bool(bound_for.any() and (ugvs["arrived"][bound_for] >= 0).all())
     way, ahead = float(ugvs["way"].sum()), (ground.met[world] - warned)[before]
     near = (ground.nearest[world] < NEAR_MISS) & (ground.hits[world] == 0) & blocks
-    finds = kinds == FOUND
+    finds, declared = kinds == FOUND, bool(ground.clearances["declared"].any())
     guarantees = {name: _guarantee(row) for name, row in zip(names, ugvs, strict=True)}
     reported = sum(one.ticks for one in guarantees.values())
     certified = sum(one.certified for one in guarantees.values())
@@ -252,7 +271,8 @@ def mission_of(
         ground_certified_share=certified / reported if reported else None,
         entered_unknown_tile=int(ugvs["entered"].sum()),
         ground_certificate_broken=int(ugvs["broken"].sum()),
-        near_building=int(ugvs["near_building"].sum()) if ground.clearances.any() else None,
+        near_building=int(ugvs["near_building"].sum()) if declared else None,
+        near_building_excused=int(ugvs["near_excused"].sum()) if declared else None,
         guarantees=guarantees,
         stationary_time=float(ugvs["still"].sum() * dt),
         finds=int(finds.sum()),

@@ -46,6 +46,11 @@ class CertificateCounters:
     """Supervised ticks; of these, ticks certified, and ticks overridden by the filter."""
     certified_while_lost: int
     """Certified ticks in which, or at whose end, the UGV was out of sight."""
+    revoked: int
+    lost_without_clearance: int
+    """Ticks that the filter certified, but in which the UGV kept no distance from buildings; of these, ticks in which
+    it was out of sight. They are not counted as certified.
+    """
     broken: int
     """Ticks not certified although the previous tick was and all bounds held."""
 
@@ -72,6 +77,10 @@ class Claim(NamedTuple):
     """True if the claim belongs to this tick; in real time it may belong to an earlier one, and without a report to
     none.
     """
+    clear: bool
+    """True if the UGV keeps the distance from buildings that the filter assumes, see
+    `sim.engine.mission.keeps_clearance`.
+    """
 
 
 def certificate_counters(uavs: int) -> RecordArray:
@@ -93,7 +102,9 @@ def reset_counters(counts: CertificateCounters) -> None:
         counts.overridden,
         counts.certified_while_lost,
         counts.broken,
-    ) = 0, 0, 0, 0, 0
+        counts.revoked,
+        counts.lost_without_clearance,
+    ) = 0, 0, 0, 0, 0, 0, 0
     reset_filter(counts)
 
 
@@ -138,7 +149,11 @@ def record_decision(
     counts.ticks += 1
     if said.overridden:
         counts.overridden += 1
-    if said.certified:
+    if said.certified and not said.clear:
+        counts.revoked += 1
+        if said.lost:
+            counts.lost_without_clearance += 1
+    elif said.certified:
         counts.certified += 1
         if said.lost:
             counts.certified_while_lost += 1
@@ -175,13 +190,14 @@ def record_interval(
 
 
 @compiled
-def record_end(counts: CertificateCounters, lost: bool) -> None:
+def record_end(counts: CertificateCounters, lost: bool, clear: bool) -> None:
     """Finish a run: the vehicles report nothing about its last state.
 
     Args:
         counts: Counters of the UAV.
         lost: True if the UGV is out of sight there. If the previous tick was certified and all bounds held, this counts
             as certified out of sight.
+        clear: As in `Claim`.
     """
     if (
         counts.certified_before
@@ -190,7 +206,10 @@ def record_end(counts: CertificateCounters, lost: bool) -> None:
         and counts.interval_kept
         and lost
     ):
-        counts.certified_while_lost += 1
+        if clear:
+            counts.certified_while_lost += 1
+        else:
+            counts.lost_without_clearance += 1
     counts.certified_before = False
 
 
@@ -210,7 +229,7 @@ def record_tick(
     evidence: tuple[RecordArray, RecordArray, RecordArray],
     place: tuple[int, int, int],
     answers: bool,
-    said: tuple[bool, bool, bool, bool],
+    said: tuple[bool, bool, bool, bool, bool],
 ) -> None:
     """Call `record_arrival`, `record_decision` and `record_interval` for one UAV, from Python.
 
@@ -226,6 +245,6 @@ def record_tick(
     b, c = bounds[uav], counts[uav]
     if answers:
         record_arrival(b, c, arrivals[uav].newest, arrivals[uav].error)
-    record_decision(b, c, tick, Claim(said[0], said[1], said[2], said[3]))
+    record_decision(b, c, tick, Claim(said[0], said[1], said[2], said[3], said[4]))
     bare = vehicles[vehicle].command_tick if flown[vehicle].plain == 1 else NEVER
     record_interval(b, c, tick, flown[vehicle].begins, bare)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
+from bus.messages.decision import NotCertified
 from bus.messages.telemetry import VehicleStatus
 from bus.messages.vehicle import BackupTrajectory, Command, UavCommand, UavReport
 from bus.registry import LAWS
@@ -31,7 +32,9 @@ def _is_certified(command: Command) -> bool | None:
     return None if command.report is None else command.report.certified
 
 
-_Tick = tuple[int, Mapping[str, Command], str]
+_Since = tuple[int | None, ...]
+"""Tick from which on each UAV's UGV has kept its distance from buildings; None: it does not keep it."""
+_Tick = tuple[int, Mapping[str, Command], str, _Since]
 """Commands of one tick: the tick, the new commands, and the UAVs' control law."""
 
 
@@ -71,6 +74,8 @@ class Answers:
         """First tick at which a command was missing or stale; None: none so far."""
         self.reports: list[UavReport | None] = [None] * len(world.uavs)
         """Latest report of each UAV."""
+        self.revoked: list[NotCertified | None] = [None] * len(world.uavs)
+        """Reason why the certificate in this report does not hold, which the UAV cannot know; None: no such reason."""
         self.assurance = Assurance(scenario)
         """Checks of the safety filters' reports."""
         self._reporting = [False] * len(world.uavs)
@@ -111,6 +116,15 @@ class Answers:
             del self._rejoined[name]
         return True
 
+    def reasons(self) -> dict[str, NotCertified | None]:
+        """Return the reason why each UAV with a safety filter is not certified; None: it is."""
+        given = zip(self._uavs, self.reports, self.revoked, strict=True)
+        return {
+            uav: revoked or report.decision.reason
+            for uav, report, revoked in given
+            if report is not None and report.decision is not None
+        }
+
     def counted(self, name: str) -> VehicleStatus:
         """Return the command counters of a vehicle that has joined."""
         return VehicleStatus(
@@ -120,15 +134,18 @@ class Answers:
             shortened_commands=self.shortened[name],
         )
 
-    def record(self, tick: int, commands: Mapping[str, Command], law: str) -> None:
+    def record(
+        self, tick: int, commands: Mapping[str, Command], law: str, clear_since: _Since
+    ) -> None:
         """Record the commands of the tick just simulated; `evaluate` counts them.
 
         Args:
             tick: The tick.
             commands: New command of each vehicle that sent one.
             law: Control law of the UAVs.
+            clear_since: Tick from which on each UAV's UGV has kept its distance from buildings; None: it does not.
         """
-        self._recorded = tick, commands, law
+        self._recorded = tick, commands, law, clear_since
 
     def evaluate(self) -> None:
         """Count the recorded commands, and compare the UAVs' reports with the true state."""
@@ -136,17 +153,22 @@ class Answers:
         if last is None:
             return
         self._recorded = None
-        tick, commands, law = last
+        tick, commands, law, clear_since = last
         self._count(tick, commands)
         for uav, name in enumerate(self._uavs):
             command = commands.get(name)
-            self._check_report(uav, command if isinstance(command, UavCommand) else None, tick, law)
+            answer = command if isinstance(command, UavCommand) else None
+            self._check_report(uav, answer, tick, law, clear_since[uav])
 
     def end(self) -> None:
         """Finish the run, after its last state was recorded: no vehicle sends a command for it."""
         self.evaluate()
         for uav in range(len(self._uavs)):
-            self.assurance.end(uav, self._recorder.is_lost(self._world.tick, uav))
+            lost, clear = (
+                self._recorder.is_lost(self._world.tick, uav),
+                self._world.keeps_clearance(uav),
+            )
+            self.assurance.end(uav, lost, clear=clear)
 
     def _count(self, tick: int, commands: Mapping[str, Command]) -> None:
         """Count late commands, and commands above the vehicle's bound."""
@@ -174,7 +196,9 @@ class Answers:
                 f"bound {bound:.4g} m/s² and is shortened; further ones are only counted"
             )
 
-    def _check_report(self, uav: int, command: UavCommand | None, tick: int, law: str) -> None:
+    def _check_report(
+        self, uav: int, command: UavCommand | None, tick: int, law: str, clear_since: int | None
+    ) -> None:
         """Compare a UAV's report of a tick with the true state."""
         watched = LAWS[law].watched
         report = self.reports[uav] = None if command is None else command.report
@@ -188,7 +212,12 @@ class Answers:
             self.assurance.excuse(uav)
         said = tick if command is None else command.tick
         lost = self._recorder.is_lost(said, uav)
-        self.assurance.record(uav, tick, command, self._evidence, lost, watched=watched)
+        clear = clear_since is not None and clear_since <= said
+        self.assurance.record(
+            uav, tick, command, self._evidence, lost, watched=watched, clear=clear
+        )
+        certified = report is not None and report.decision is not None and report.decision.certified
+        self.revoked[uav] = NotCertified.NO_CLEARANCE if certified and not clear else None
 
     def _check_pilot(self, uav: int, command: UavCommand, tick: int, law: str) -> None:
         """Detect a UAV flown by the user's program: Outrider's pilot always reports once it has a detection."""

@@ -104,6 +104,7 @@ class Assurance:
         lost: bool,
         *,
         watched: bool = True,
+        clear: bool = True,
     ) -> None:
         """Record a tick of a UAV with a safety filter, whether the filter belongs to the control law or to a pilot.
 
@@ -114,6 +115,7 @@ class Assurance:
             evidence: True state of the tick.
             lost: True if the UGV was out of sight at the reported tick.
             watched: True if its control law has a safety filter.
+            clear: True if the UGV keeps the distance from buildings that the filter assumes.
         """
         report = None if command is None else command.report
         decision = None if report is None else report.decision
@@ -132,15 +134,23 @@ class Assurance:
         else:
             certified, overridden = decision.certified, decision.overridden
             reason, current = decision.reason, command is not None and command.tick == tick
+        if certified and not clear:
+            reason = NotCertified.NO_CLEARANCE
         if reason is not None:
             self.reasons[reason] += 1
-        claim = certified, overridden, lost, current
+        claim = certified, overridden, lost, current, clear
         rows = uav, self._rows[uav], tick
         record_tick(self._tables, evidence, rows, command is not None, claim)
 
-    def end(self, uav: int, lost: bool) -> None:
-        """Finish the run: check the last tick's certificate; `lost`: the UGV is out of sight at the end."""
-        record_end(self._counts[uav], lost)
+    def end(self, uav: int, lost: bool, *, clear: bool = True) -> None:
+        """Finish the run: check the last tick's certificate.
+
+        Args:
+            uav: Row of the UAV.
+            lost: True if the UGV is out of sight at the end.
+            clear: As in `record`.
+        """
+        record_end(self._counts[uav], lost, clear)
 
     def shares(self, uav: int) -> tuple[float | None, float | None]:
         """Return the shares of a UAV's supervised ticks that were certified, and that were overridden."""
@@ -161,6 +171,9 @@ class Assurance:
             overridden=self._sum("overridden"),
             uncertified=dict(self.reasons),
             certified_while_lost=self.certified_while_lost,
+            lost_without_clearance=self._sum("lost_without_clearance")
+            if self._sum("revoked")
+            else None,
             certificate_broken=self.certificate_broken,
             max_command_interval=self._interval * self._dt,
             longest_command_interval=longest * self._dt,

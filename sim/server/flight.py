@@ -24,11 +24,12 @@ from bus.messages.vehicle import (
     UavCommand,
     UgvCommand,
 )
+from bus.registry import EXTERNAL
 from sim.compiling.compile import FloatArray
-from sim.engine.briefing import clearance_notice
 from sim.engine.run_keys import check_seed
 from sim.scenario.types import NO_UAV, Scenario, Uav
 from sim.server.answers import Answers
+from sim.server.clearance_watch import ClearanceWatch
 from sim.server.perception import News, Perception, UavPerception, UgvPerception
 from sim.server.radio import Radio
 from sim.server.recorder import Recorder
@@ -49,8 +50,6 @@ class Exchange(Protocol):
 
 
 _LOG = logging.getLogger("outrider.sim")
-EXTERNAL = "external"
-"""Name of the control law, or of the driver, of a vehicle controlled by the user's own program."""
 
 
 def law_title(scenario: Scenario, external: Collection[str]) -> str:
@@ -107,6 +106,7 @@ class Flight:
         """Perception of each vehicle, in name order."""
         self.on_notice = on_notice
         self._answers = Answers(scenario, self.world, self.recorder, on_notice)
+        self._clearance = ClearanceWatch(scenario, self.world)
         self.routes: dict[str, tuple[Vector, ...]] = {}
         """Planned route of each UGV, as last reported: its corners [m]; for observers."""
         self.degradations: list[Change] = []
@@ -165,7 +165,7 @@ class Flight:
     def assign_driver(self, ugv: str, driver: str) -> None:
         """Change the driver of a UGV from the next observation on."""
         self.perceptions[ugv].news_now().driver = self.drivers[ugv] = driver
-        if notice := clearance_notice(self.scenario, ugv, driver):
+        if notice := self._clearance.assign(ugv, driver):
             self.on_notice(notice)
 
     def order(self, law: Law) -> None:
@@ -181,12 +181,7 @@ class Flight:
 
     def status(self) -> Status:
         """Return the status of the run; the server adds its pace and the state of the vehicles' processes."""
-        reports = zip(self.world.uavs, self.answers.reports, strict=True)
-        decisions = {
-            uav.name: report.decision
-            for uav, report in reports
-            if report is not None and report.decision is not None
-        }
+        reasons = self.answers.reasons()
         return Status(
             scenario=self.scenario.name,
             seed=self.seed,
@@ -196,12 +191,11 @@ class Flight:
             realtime_factor=0.0,
             law=self.law.name,
             drivers=dict(self.drivers),
-            certified={name: one.certified for name, one in decisions.items()},
-            uncertified={
-                name: one.reason for name, one in decisions.items() if one.reason is not None
-            },
+            certified={name: reason is None for name, reason in reasons.items()},
+            uncertified={name: reason for name, reason in reasons.items() if reason is not None},
             certificates=self.answers.assurance.status(),
             mission=self.world.mission,
+            warnings=tuple(self._clearance.notices.values()),
             links=self.world.links.status(),
             vehicles={name: self.answers.counted(name) for name in self.world.names},
             over=self.over,
@@ -279,8 +273,9 @@ class Flight:
                 self.radio.send(k, command)
             elif command.route is not None:
                 self.routes[name] = command.route
+        self._clearance.update(commands)
         world.advance()
-        self._answers.record(world.tick - 1, commands, self.law.name)
+        self._answers.record(world.tick - 1, commands, self.law.name, self._clearance.since())
 
     def take_down(self) -> None:
         """Evaluate the commands of the previous tick and record this one; repeated calls at a tick have no effect.
@@ -288,7 +283,7 @@ class Flight:
         The result is needed only before the world advances: call it while the vehicles compute.
         """
         self._answers.evaluate()
-        self.recorder.record(self._answers.reports)
+        self.recorder.record(self._answers.reports, self._answers.revoked)
 
     def _is_running(self) -> bool:
         """True unless the run has been stopped."""
@@ -362,6 +357,7 @@ class Flight:
                     if detections[k][0] == detections[k][0]
                     else None,
                     report=self.answers.reports[k],
+                    revoked=self.answers.revoked[k],
                 )
                 for k, uav in enumerate(world.uavs)
             ),

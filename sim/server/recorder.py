@@ -4,13 +4,14 @@ import csv
 import hashlib
 import math
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from bus.messages.decision import NotCertified
 from bus.messages.vehicle import UavReport
 from sim.channel.link_records import ARRIVED
 from sim.compiling.compile import FloatArray, compiled
@@ -125,13 +126,16 @@ class Recorder:
             store.array for store in self._stores
         )
 
-    def record(self, reports: list[UavReport | None]) -> None:
+    def record(
+        self, reports: Sequence[UavReport | None], revoked: Sequence[NotCertified | None] = ()
+    ) -> None:
         """Record the state at this tick, and the commands and reports of the previous tick.
 
         Called once per tick, best while the vehicles compute; repeated calls at a tick have no effect.
 
         Args:
             reports: Report of each UAV at the previous tick; None: no report.
+            revoked: Reason why the certificate in each report does not hold; None: it does. Empty: all hold.
         """
         k = self._world.tick
         if k < self.rows:
@@ -151,6 +155,8 @@ class Recorder:
                 certified = distance = math.nan
                 if report.decision is not None:
                     certified, bound = report.decision.certified, report.decision.certified_distance
+                    if revoked and revoked[uav] is not None:
+                        certified = False
                     distance = math.nan if bound is None else bound
                 self._escorts[k - 1, uav, _REPORTED:] = *report.estimate, certified, distance
         self.ticks, self.rows = k, k + 1

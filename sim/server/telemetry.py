@@ -129,8 +129,9 @@ class Telemetry:
         before, tick = self._last
         self._last = (now, world.tick)
         elapsed = now - before
+        status = flight.status()
         return msgspec.structs.replace(
-            flight.status(),
+            status,
             realtime_factor=(world.tick - tick) * flight.scenario.dt / elapsed
             if before and elapsed > 0.0
             else 0.0,
@@ -141,6 +142,6 @@ class Telemetry:
             changes=tuple(self._operators.changes)[-_SHOWN:],
             rejections=tuple(self._operators.rejections),
             geometry=self._geometry,
-            warnings=fitted_lines(self._warn(flight.flown, world.link_table)),
+            warnings=fitted_lines((*status.warnings, *self._warn(flight.flown, world.link_table))),
             vehicles=self._sessions.statuses(),
         )

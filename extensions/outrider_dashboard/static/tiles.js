@@ -29,8 +29,9 @@ function show(row, value, { text = null, unit = row.unit, note = "", bad = false
 // Return the state of the certificates and the reasons of those that are missing.
 function certificateOf(truth) {
   const watched = (truth ? truth.escorts : []).filter(({ report }) => report && report.decision);
-  const broken = watched.filter(({ report }) => report.decision.reason);
-  const reasons = broken.map(({ uav, report }) => `${uav} is not certified: ${textOfReason(report.decision.reason)}`);
+  const reasonOf = ({ report, revoked }) => revoked || report.decision.reason;
+  const broken = watched.filter(reasonOf);
+  const reasons = broken.map((escort) => `${escort.uav} is not certified: ${textOfReason(reasonOf(escort))}`);
   if (!watched.length) return { text: "", reasons };
   if (!broken.length) return { text: watched.some(({ report }) => report.decision.source !== "NOMINAL") ? "filter active" : "certified", reasons };
   const whose = truth.escorts.length < 2 ? "" : broken.length > 1 ? `: ${broken.length} UAVs` : `: ${broken[0].uav}`;
@@ -102,10 +103,12 @@ function showGuarantees(mission, of) {
     [of("entered_unknown_tile"), sum("entered_unknown_tile")],
     [of("ground_certificate_broken"), sum("certificate_broken")],
     [of("near_building"), sum("near_building")],
+    [of("near_building_excused"), sum("near_building_excused")],
   ].filter(([, count]) => count);
   const note = counted.map(([metric, count]) => `${metric.label} ${textOf(metric, count)}`).join(" · ");
   $(`tile-${row.name}`).hidden = !guarantees.length;
-  show(row, sum("ticks") ? sum("certified") / sum("ticks") : null, { note, bad: counted.length > 0, more: each });
+  const bad = counted.some(([metric]) => !metric.name.startsWith("near_building")) || sum("near_building") > sum("near_building_excused");
+  show(row, sum("ticks") ? sum("certified") / sum("ticks") : null, { note, bad, more: each });
 }
 
 // Show the assumptions of the certificate violated by the current settings of the links.
