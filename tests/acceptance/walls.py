@@ -9,6 +9,7 @@ a certificate although all assumptions hold, and UAVs in a building. Exit code 1
     python tests/acceptance/walls.py --runs 100000          about half an hour on two cores
     python tests/acceptance/walls.py --runs 640 --seed 7     other towns
     python tests/acceptance/walls.py --runs 640 --unfiltered the same adversaries without the filter, which lose sight
+    python tests/acceptance/walls.py --runs 1000 --takeovers runs in which drivers relieve each other (takeovers.py)
 """
 
 import argparse
@@ -16,7 +17,7 @@ import math
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from itertools import repeat
@@ -160,6 +161,7 @@ def scenario_of(rng: np.random.Generator) -> tuple[Scenario, list[Any], list[flo
         f"ugv.0.max_speed={v_g}",
         f"ugv.0.max_acceleration={AGILE}",
         f"ugv.0.building_clearance={clearance}",
+        "ugv.0.keeps_clearance=true",
     ]
     only = f"commands={{delay={delay}, loss={loss}}}, detections={{delay=0.1, loss={loss}}}"
     if loss or delay:
@@ -172,6 +174,11 @@ def scenario_of(rng: np.random.Generator) -> tuple[Scenario, list[Any], list[flo
     above = min(rng.choice([0.0, 0.01, 1.0, 5.0]), HIGHEST - floor)
     start = load_scenario("town", overrides=[*changes, f"uav.0.initial_altitude={floor + above}"])
     return start, shapes, heights, way
+
+
+def drawn_scenario(rng: np.random.Generator) -> tuple[Scenario, list[Any], list[float], Any]:
+    """Return the first result of `scenario_of` that is not None."""
+    return next(filter(None, (scenario_of(rng) for _ in range(1000))))
 
 
 # -- adversaries
@@ -217,19 +224,19 @@ class Way:
 class Pilot:
     """Nominal control of the UAVs, redrawn every second or so in each world."""
 
-    def __init__(self, shapes: list[Any], rng: np.random.Generator) -> None:
+    def __init__(self, shapes: list[Any], rng: np.random.Generator, worlds: int = WORLDS) -> None:
         self._centers = shapely.get_coordinates(shapely.centroid(shapes))
-        self._rng = rng
-        self._mode, self._angle = np.zeros(WORLDS, int), np.zeros(WORLDS)
-        self._climb = np.full(WORLDS, -1.0)
+        self._rng, self._worlds = rng, worlds
+        self._mode, self._angle = np.zeros(worlds, int), np.zeros(worlds)
+        self._climb = np.full(worlds, -1.0)
 
     def command(self, uav: Any, ugv: Any, velocity: Any) -> Any:
         """Return accelerations, x, y and z; the filter and the world bound them [m/s²]."""
-        rng = self._rng
-        new = rng.random(WORLDS) < 0.04
-        self._mode = np.where(new, rng.integers(0, 4, WORLDS), self._mode)
-        self._angle = np.where(new, rng.uniform(0.0, 2.0 * math.pi, WORLDS), self._angle)
-        self._climb = np.where(new, rng.choice([-9.0, -9.0, 0.0, 9.0], WORLDS), self._climb)
+        rng, worlds = self._rng, self._worlds
+        new = rng.random(worlds) < 0.04
+        self._mode = np.where(new, rng.integers(0, 4, worlds), self._mode)
+        self._angle = np.where(new, rng.uniform(0.0, 2.0 * math.pi, worlds), self._angle)
+        self._climb = np.where(new, rng.choice([-9.0, -9.0, 0.0, 9.0], worlds), self._climb)
         gaps = np.linalg.norm(ugv[:, None] - self._centers, axis=-1)
         behind = 2.0 * self._centers[np.argmin(gaps, axis=-1)] - ugv  # beyond the nearest building
         way = np.select(
@@ -296,8 +303,7 @@ def _lines(begin: Any, end: Any, share: Any) -> Any:
 def attack(seed: int, filtered: bool = True) -> Counter[str]:
     """Fly one town, and return its counts. `filtered`: inside the safety filter."""
     rng = np.random.default_rng(seed)
-    drawn = next(filter(None, (scenario_of(rng) for _ in range(1000))))
-    scenario, shapes, heights, ring = drawn
+    scenario, shapes, heights, ring = drawn_scenario(rng)
     loop = ClosedLoop(
         scenario,
         WORLDS,
@@ -345,14 +351,18 @@ def attack(seed: int, filtered: bool = True) -> Counter[str]:
     return counts
 
 
-def results(runs: int, seed: int, jobs: int, filtered: bool) -> Iterator[tuple[int, Counter[str]]]:
+Attack = Callable[[int, bool], Counter[str]]
+
+
+def results(
+    fly: Attack, seeds: range, jobs: int, filtered: bool
+) -> Iterator[tuple[int, Counter[str]]]:
     """Yield the seed and the counts of each town."""
-    seeds = range(seed * 100_000, seed * 100_000 + -(-runs // WORLDS))
     if jobs == 1:
-        yield from ((one, attack(one, filtered)) for one in seeds)
+        yield from ((one, fly(one, filtered)) for one in seeds)
         return
     with ProcessPoolExecutor(jobs) as pool:
-        yield from zip(seeds, pool.map(attack, seeds, repeat(filtered)), strict=True)
+        yield from zip(seeds, pool.map(fly, seeds, repeat(filtered)), strict=True)
 
 
 def main() -> int:
@@ -362,9 +372,16 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--unfiltered", action="store_true")
+    parser.add_argument("--takeovers", action="store_true")
     options = parser.parse_args()
     total, began, shown = Counter[str](), time.monotonic(), 0.0
-    towns = results(options.runs, options.seed, options.jobs, not options.unfiltered)
+    fly, worlds, first = attack, WORLDS, options.seed * 100_000
+    if options.takeovers:
+        from takeovers import attack as fly
+
+        worlds = 1
+    seeds = range(first, first + -(-options.runs // worlds))
+    towns = results(fly, seeds, options.jobs, not options.unfiltered)
     with suppress(KeyboardInterrupt):  # then print the counts so far
         for seed, counts in towns:
             total += counts
