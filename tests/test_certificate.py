@@ -185,6 +185,45 @@ def test_motion_between_rests_keeps_bounds_and_is_exact(way: float, dt: float) -
     assert (2 * turn + cruise) * dt <= way / V_A + V_A / U_A + 2.0 * dt + 1e-9
 
 
+@given(
+    st.tuples(st.integers(1, 30), st.integers(0, 40)),
+    st.tuples(st.integers(0, 3), st.integers(0, 6)),
+    st.floats(0.5, 9.0),
+    st.floats(0.2, 5.0),
+    st.floats(0.1, 3.0),
+    st.floats(0.0, 0.02),
+)
+@settings(PROPERTY, max_examples=300)
+def test_spans_of_ticks_keep_each_position_within(fastest, more, way, radius, rho, drift):
+    """The least distance that passes for several trajectories is not below that of any tick of any of them."""
+    slowest = fastest[0] + more[0], fastest[1] + more[1]
+    needed = 0.0
+    for turn, cruise in itertools.product(*map(_between, fastest, slowest)):
+        ticks, x, v = 2 * turn + cruise, 0.0, 0.0
+        for k in range(1, ticks + 1):
+            w = way / (turn + cruise) * min(1.0, k / turn, (ticks - k) / turn)
+            x, v = x + 0.5 * (v + w), w
+            assert handover.flown_distance(way, turn, cruise, k) == pytest.approx(x, abs=1e-9)
+            far = discs.lens_distance(x, 0.0, 0.0, 0.0, radius, way, 0.0, rho)
+            needed = max(needed, min(x + radius, abs(way - x) + rho, far) + drift * k)
+    args = radius, rho, way, fastest, slowest, drift
+    assert not handover.trajectory_stays_within(needed - 1e-6, *args)
+    if fastest == slowest:
+        assert handover.trajectory_stays_within(max(needed, radius) + 1e-6, *args)
+
+
+def _between(first: int, last: int) -> range:
+    return range(first, last + 1)
+
+
+@pytest.mark.parametrize("dt", [1e-4, 1e-6])
+def test_a_short_tick_gives_the_radius_of_a_longer_one(dt: float) -> None:
+    """With dt = 1 µs, each of thousands of trajectories has 20 million ticks."""
+    found, usual = bounds_with(age=0.9, dt=dt), bounds_with(age=0.9, dt=0.005)
+    assert usual.handover_radius - 1e-9 <= found.handover_radius < usual.handover_radius + 0.01
+    assert found.valid
+
+
 def radii_of(**numbers: float) -> list[float]:
     """Return R_h and r_cert of a certificate; a missing radius counts as -1."""
     q = bounds_with(**numbers)

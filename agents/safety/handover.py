@@ -27,6 +27,12 @@ _GRID, _STEPS = 0.005, 950
 The number is limited, or a large radius would take minutes.
 """
 
+_MOST_TIMES, _MOST_SHAPES = 5000, 16
+"""Numbers up to which every tick of a trajectory is checked, and every number of ticks of its turn and of its cruise.
+
+Beyond them, several are checked at once, by bounds that are slightly larger, or a short tick would take minutes.
+"""
+
 
 @compiled
 def rest_to_rest(distance: float, v_a: float, u_a: float, dt: float) -> tuple[int, int, float]:
@@ -50,38 +56,73 @@ def rest_to_rest(distance: float, v_a: float, u_a: float, dt: float) -> tuple[in
 
 
 @compiled
+def flown_distance(distance: float, turn: int, cruise: int, tick: int) -> float:
+    """Return the distance flown after a number of ticks of a trajectory from `rest_to_rest` [m].
+
+    At every tick, it falls with longer turns and with a longer cruise.
+
+    Args:
+        distance: Distance to fly [m].
+        turn, cruise: Ticks of the trajectory; one tick of `turn` or more.
+        tick: Ticks since the start.
+    """
+    speed, left = distance / (turn + cruise), 2 * turn + cruise - tick  # metres in a tick
+    if left <= 0:
+        return distance
+    if tick <= turn:
+        return 0.5 * speed * tick * tick / turn
+    if left <= turn:
+        return distance - 0.5 * speed * left * left / turn
+    return speed * (tick - 0.5 * turn)
+
+
+@compiled
 def trajectory_stays_within(
-    limit: float, radius: float, rho: float, distance: float, turn: int, cruise: int, drift: float
+    limit: float,
+    radius: float,
+    rho: float,
+    distance: float,
+    fastest: tuple[int, int],
+    slowest: tuple[int, int],
+    drift: float,
 ) -> bool:
     """Return whether the UGV stays within a distance while the UAV flies from rest to a new detection.
 
-    Two discs contain the UGV at the start.
+    Two discs contain the UGV at the start. Spans of ticks are checked at once, by bounds of all positions in them:
+    longer ones while they pass, shorter ones otherwise, down to single ticks of a trajectory of `_MOST_TIMES` ticks or
+    fewer. The work is thus bounded, however short a tick is.
 
     Args:
         limit: Distance [m].
         radius: Radius of the disc around the resting UAV [m].
         rho: Radius of the disc around the new detection [m].
         distance: Distance to the new detection [m].
-        turn, cruise: Ticks of the trajectory, from `rest_to_rest`.
+        fastest, slowest: Ticks of turn and cruise of the trajectories, from `rest_to_rest`; all between are checked.
         drift: Largest distance of the UGV in a tick, v_g dt [m].
     """
     if radius > limit:
         return False
-    ticks = 2 * turn + cruise
+    ticks = 2 * slowest[0] + slowest[1]
     if 0.5 * (radius + distance + rho) <= limit - drift * ticks:
         # The smaller of two bounds is at most their mean, which is constant along the way.
         return True
-    speed = distance / max(1, turn + cruise)  # metres in a tick
-    x, v = 0.0, 0.0
-    for k in range(1, ticks + 1):
-        w = speed * min(1.0, k / turn, (ticks - k) / turn)
-        x, v = x + 0.5 * (v + w), w
-        room = limit - drift * k
+    least = 1 + (ticks - 1) // _MOST_TIMES
+    first, span = 1, least
+    while first <= ticks:
+        last = min(first + span - 1, ticks)
+        near = flown_distance(distance, slowest[0], slowest[1], first)
+        far = flown_distance(distance, fastest[0], fastest[1], last)
+        room, middle = limit - drift * last, 0.5 * (near + far)
         if (  # one disc alone usually suffices, and the lens is expensive
-            x + radius > room
-            and abs(distance - x) + rho > room
-            and lens_distance(x, 0.0, 0.0, 0.0, radius, distance, 0.0, rho) > room
+            far + radius <= room
+            or distance - near + rho <= room
+            or lens_distance(middle, 0.0, 0.0, 0.0, radius, distance, 0.0, rho) + (far - middle)
+            <= room
         ):
+            first, span = last + 1, 2 * span
+        elif span > least:
+            span = max(least, span // 2)
+        else:
             return False
     return True
 
@@ -121,11 +162,20 @@ def _distance_fits(bounds: SafetyBounds, k: int, radius: float) -> bool:
         return True
     last_turn, last_cruise, _ = rest_to_rest((k - 1) * step, b.v_a, b.u_a, b.dt)
     turn, cruise, _ = rest_to_rest(distance, b.v_a, b.u_a, b.dt)
-    for i in range(max(1, last_turn), turn + 1):
-        for j in range(last_cruise, cruise + 1):
-            if not trajectory_stays_within(
-                b.radius - step, radius, rest + step, distance, i, j, b.v_g * b.dt
-            ):
+    last_turn = max(1, last_turn)
+    limit, rho, drift = b.radius - step, rest + step, b.v_g * b.dt
+    if trajectory_stays_within(
+        limit, radius, rho, distance, (last_turn, last_cruise), (turn, cruise), drift
+    ):
+        return True
+    turns, cruises = (
+        1 + (turn - last_turn) // _MOST_SHAPES,
+        1 + (cruise - last_cruise) // _MOST_SHAPES,
+    )
+    for i in range(last_turn, turn + 1, turns):
+        for j in range(last_cruise, cruise + 1, cruises):
+            slowest = min(i + turns - 1, turn), min(j + cruises - 1, cruise)
+            if not trajectory_stays_within(limit, radius, rho, distance, (i, j), slowest, drift):
                 return False
     return True
 
