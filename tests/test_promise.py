@@ -203,6 +203,20 @@ def test_random_losses_warn_with_their_share_of_ticks(link, bound, assumption, p
     assert f"{phrase}: sight cannot always be certified with" in found.line
 
 
+@pytest.mark.parametrize(
+    "lossy",
+    [
+        "detections.loss=0.3",
+        "detections.blackout_length=0.2 & links.detections.blackout_interval=3",
+    ],
+)
+def test_links_are_inspected_although_ticks_are_short(lossy: str) -> None:
+    """An age of 0.9 s has 900,000 ticks, and the time between two detections 50,000."""
+    short = ["dt=1e-6", "duration=1", "certificate.max_measurement_age=0.9"]
+    (found,) = shortfalls(certified(*short, *f"links.{lossy}".split(" & ")))
+    assert (found.assumption, found.frequency) == ("A2", Frequency.SOMETIMES)
+
+
 def test_longer_command_interval_admits_losses_not_blackouts() -> None:
     interval = "certificate.max_command_interval=1.0"
     assert not shortfalls(certified("links.commands.loss=0.1", interval))

@@ -13,6 +13,7 @@ import numpy as np
 
 from bus.messages.links import LinkKind
 from bus.messages.vehicle import MOST_CARRIED
+from bus.numbers import above, at_least, enough_digits, exact
 from bus.ticks import TICK_TOLERANCE, first_tick_from
 from sim.channel.description import link_parameters, longest_delay, longest_wait
 from sim.channel.gaps import (
@@ -21,6 +22,7 @@ from sim.channel.gaps import (
     delays_at,
     late_shares,
     recorded_late_share,
+    too_many,
 )
 from sim.channel.link_records import DELAYS, LinkParameters
 from sim.channel.links import first_arrivals
@@ -34,6 +36,10 @@ RARE = 1e-6
 """Events that are expected less often than this in a whole run are not reported."""
 _MOST_REPLAYED = 1_000_000
 """Largest number of ticks inspected of a recorded link."""
+_MOST_MESSAGES = 1_000_000_000
+"""Largest number of messages inspected of a recorded link, those of each tick's window."""
+_SAME_TICK = 1e-3
+"""Largest error of a printed time [ticks]."""
 _NO_BLACKOUTS = np.zeros((0, 2), dtype=np.int64)
 
 
@@ -99,7 +105,7 @@ class InspectedLink:
         """Return these fields with their values, without zeros."""
         values = {field: getattr(self.settings, field) for field in fields}
         return ", ".join(
-            f"{self.path}.{field} = {value:g}" for field, value in values.items() if value
+            f"{self.path}.{field} = {exact(value)}" for field, value in values.items() if value
         )
 
     def planned_blackouts(self) -> Iterator[tuple[int, int]]:
@@ -115,10 +121,10 @@ class InspectedLink:
             every: Ticks between two messages.
             window: Ticks needed beyond the inspected ones.
         """
-        p = self.parameters
+        p, most = self.parameters, min(_MOST_REPLAYED, 1 + _MOST_MESSAGES // (window + 1))
         if p.replay == DELAYS:
-            whole = p.period * every <= _MOST_REPLAYED
-            ticks = min(p.period, _MOST_REPLAYED)
+            whole = p.period * every <= most
+            ticks = min(p.period, most)
             places = np.arange(ticks + window)
             delays = delays_at(p, places % p.period)
             sent = [(places + phase) % every == 0 for phase in range(every if whole else 1)]
@@ -126,8 +132,8 @@ class InspectedLink:
         tick = 1000.0 * p.dt
         step = round(tick * every)
         exact = step > 0 and abs(step - tick * every) < TICK_TOLERANCE
-        round_ticks = math.ceil(math.lcm(p.period, step) / tick) if exact else _MOST_REPLAYED + 1
-        ticks = min(round_ticks, _MOST_REPLAYED)
+        round_ticks = math.ceil(math.lcm(p.period, step) / tick) if exact else most + 1
+        ticks = min(round_ticks, most)
         filled = min(p.longest + longest_wait(p) + every, _MOST_REPLAYED)  # the queue fills first
         sent_at = np.arange(0, filled + ticks + window + p.longest + every, every)
         bare = p._replace(blackouts=_NO_BLACKOUTS)
@@ -160,7 +166,8 @@ class InspectedLink:
 
     def seconds(self, ticks: float) -> str:
         """Return ticks as a time with its unit."""
-        return f"{ticks * self.scenario.dt:g} s"
+        dt = self.scenario.dt
+        return f"{enough_digits(ticks * dt, lambda time: abs(time / dt - ticks) < _SAME_TICK)} s"
 
 
 # A2: the age of the newest detection
@@ -190,7 +197,10 @@ def age_findings(link: InspectedLink, bounds: SafetyBounds) -> Iterator[Finding]
         yield Finding(Frequency.CERTAIN, cause, _AGE)
     elif waits is None and link.least + period - 1 > age:
         frequency = Frequency.THROUGHOUT if link.least > age else Frequency.CERTAIN
-        why = link.named("delay", "jitter") or f"detections.rate = {scenario.detections.rate:g} /s"
+        why = (
+            link.named("delay", "jitter")
+            or f"detections.rate = {exact(scenario.detections.rate)} /s"
+        )
         oldest = link.seconds(link.least + period - 1)
         cause = f"{why}: the newest detection is {oldest} old before the next one arrives"
         yield Finding(frequency, cause, _AGE)
@@ -207,14 +217,14 @@ def _recorded_ages(link: InspectedLink, bounds: SafetyBounds) -> Iterator[Findin
     window, missed = age_window(bounds.max_age_ticks), scenario.detections.dropout
     share, replay = link.recorded_share(window, every, missed)
     whole, trace = replay.whole, f"{link.path}.trace"
-    dropout = f", detections.dropout = {missed:g}" if missed else ""
+    dropout = f", detections.dropout = {exact(missed)}" if missed else ""
     gap, at = link.longest_gap() if not whole else (0.0, 0.0)
     if share * scenario.ticks > RARE:
         part = f"{percent(share)} of the ticks of {link.inspected(replay)}"
         cause = f"{trace}{dropout}: the newest detection is too old in {part}"
         yield Finding(frequency_of(share, whole=whole), cause, _AGE)
     elif gap > bounds.max_measurement_age + scenario.dt:
-        cause = f"{trace}: no detection arrives for {gap:g} s from {at:g} s on"
+        cause = f"{trace}: no detection arrives for {above(gap, bounds.max_measurement_age)} s from {at:g} s on"
         yield Finding(Frequency.SOMETIMES, cause, _AGE)
     elif not whole:
         cause = (
@@ -243,6 +253,18 @@ def _queue_ticks(parameters: LinkParameters, period: int) -> int | None:
     return waits + math.floor(parameters.spacing) - 1
 
 
+def _uninspected(
+    link: InspectedLink, window: IntArray, field: str, period: int = 1
+) -> Iterator[Finding]:
+    """Find a bound of so many ticks that the link is not inspected."""
+    if too_many(link.parameters, window, ticks=link.scenario.ticks, period=period):
+        cause = (
+            f"dt = {exact(link.scenario.dt)} s: {link.path} was not inspected, as {len(window):,} ticks fit into "
+            "the bound"
+        )
+        yield Finding(Frequency.SOMETIMES, cause, field, remedy="raise dt")
+
+
 def _random_ages(link: InspectedLink, bounds: SafetyBounds, *, planned: bool) -> Iterator[Finding]:
     """Find ages that random losses cause; `planned`: include planned blackouts, which alone do not exceed the bound.
 
@@ -259,19 +281,18 @@ def _random_ages(link: InspectedLink, bounds: SafetyBounds, *, planned: bool) ->
         period = math.ceil(p.spacing - TICK_TOLERANCE)
     if not planned:
         p = p._replace(blackouts=_NO_BLACKOUTS)
-    late = late_shares(
-        p,
-        age_window(bounds.max_age_ticks, waited),
-        ticks=scenario.ticks,
-        period=period,
-        dropout=dropout,
-    )
+    window = age_window(bounds.max_age_ticks, waited)
+    uninspected = list(_uninspected(link, window, _AGE, period))
+    if uninspected:
+        yield from uninspected
+        return
+    late = late_shares(p, window, ticks=scenario.ticks, period=period, dropout=dropout)
     if late.sum() <= RARE:
         return
     fields = (
         link.named("jitter", "reorder", "loss", "bandwidth"),
         link.named("burst_length", "burst_interval", "blackout_length", "blackout_interval"),
-        f"detections.dropout = {dropout:g}" if dropout else "",
+        f"detections.dropout = {exact(dropout)}" if dropout else "",
     )
     share = float(late.mean())
     effect = f"the newest detection is too old in {percent(share)} of the ticks"
@@ -331,7 +352,7 @@ def interval_findings(link: InspectedLink, bounds: SafetyBounds) -> Iterator[Fin
         yield Finding(Frequency.THROUGHOUT, cause, "max_command_delay", values=times)
         return
     if p.spacing > 1.0 + TICK_TOLERANCE:
-        rate = f"{link.path}.bandwidth to {1.0 / scenario.dt:g} messages per second"
+        rate = f"{link.path}.bandwidth to {at_least(1.0 / scenario.dt)} messages per second"
         throughout = p.spacing > interval + TICK_TOLERANCE
         cause = f"{settings}: the link carries fewer messages than one per tick, and commands are dropped"
         yield Finding(
@@ -340,6 +361,10 @@ def interval_findings(link: InspectedLink, bounds: SafetyBounds) -> Iterator[Fin
             _INTERVAL,
             remedy=f"raise {rate} or more",
         )
+        return
+    uninspected = [] if link.settings.trace else list(_uninspected(link, window, _INTERVAL))
+    if uninspected:
+        yield from uninspected
         return
     lossless = p._replace(
         settings=msgspec.structs.replace(p.settings, loss=0.0), bursts=False, up=0.0

@@ -19,8 +19,12 @@ from sim.compiling.compile import FloatArray, IntArray
 
 Mask = npt.NDArray[np.bool_]
 
-_GROUP = 4096
-"""Windows evaluated at a time."""
+_GROUP = 4_000_000
+"""Messages of windows evaluated at a time."""
+_MOST_DELAYS = 20_000
+"""Largest number of delays whose shares are evaluated; of more, the share of a shorter delay is used."""
+_MOST_STEPS, _MOST_CELLS = 50_000, 1_000_000_000
+"""Largest number of steps of a recursion, and of messages of all windows, that are evaluated; see `too_many`."""
 _NEGLIGIBLE = 1e-12
 
 
@@ -56,16 +60,16 @@ def command_window(delay: int, repeats: int, interval: int) -> IntArray:
     chains = (interval - 1) // (delay + 1) + 1
     limits = np.full(chains * (delay + 1) + repeats + 1, -1, dtype=np.int64)
     copies = np.arange(min(repeats, delay + 1))
-    for chain in range(chains):
-        limits[1 + chain * (delay + 1) + copies] = delay - copies
+    limits[1 + np.arange(chains)[:, None] * (delay + 1) + copies] = delay - copies
     return limits
 
 
 def shares_by_delay(parameters: LinkParameters) -> FloatArray:
     """Return the shares of messages that arrive within 0, 1, ... ticks, of those not lost; the last is 1."""
-    return np.array(
-        [*(arrival_share(parameters, ticks) for ticks in range(parameters.longest)), 1.0]
-    )
+    longest = parameters.longest
+    step = 1 + longest // _MOST_DELAYS
+    shares = [arrival_share(parameters, ticks) for ticks in range(0, longest, step)]
+    return np.append(np.repeat(shares, step)[:longest], 1.0)
 
 
 def useful_shares(window: IntArray, by_delay: FloatArray) -> FloatArray:
@@ -178,6 +182,40 @@ def none_in_time(chain: LossChain, useful: FloatArray) -> tuple[FloatArray, Floa
     return value, chain.share @ first
 
 
+def too_many(parameters: LinkParameters, window: IntArray, *, ticks: int, period: int = 1) -> bool:
+    """Return whether `late_shares` would take minutes, as the window has too many ticks. Arguments as there."""
+    size = len(window)
+    steps, cells = min(size // period, int(np.count_nonzero(window >= 0))), 0
+    if parameters.up > 0.0:
+        steps, cells = size, size * period
+    hidden = sum(after - first + 2 * size for first, after in parameters.blackouts.tolist())
+    return steps > _MOST_STEPS or cells + min(ticks, hidden) * size > _MOST_CELLS
+
+
+def _shares_by_phase(chain: LossChain, useful: FloatArray, period: int) -> FloatArray:
+    """Return the probability that no message of a window is in time, by the window's start in a period.
+
+    Without random blackouts, only the ticks at which messages are sent are evaluated.
+
+    Args:
+        chain: Losses of the link.
+        useful: Share that arrives in time, by ticks since the start. Shape (last + 1,).
+        period: Ticks between two messages.
+    """
+    last, start = len(useful) - 1, np.arange(period)
+    if chain.up > 0.0:
+        leaves = (start + np.arange(last + 1)[:, None]) % period == 0
+        return none_in_time(chain, useful[:, None] * leaves)[1]
+    sent = np.zeros((-(-last // period), period))  # by message, and by ticks before the first
+    sent.reshape(-1)[:last] = useful[1:]
+    clear, later = np.ones((len(chain.share), period)), len(sent)
+    for row in np.flatnonzero(sent.any(axis=1))[::-1].tolist():
+        value = chain.pull(clear, (later - row) * period)
+        clear, later = (1.0 - sent[row] * chain.through[:, None]) * value, row
+    by_start: FloatArray = (chain.share @ clear)[-start - 1]
+    return by_start
+
+
 def late_shares(
     parameters: LinkParameters,
     window: IntArray,
@@ -205,8 +243,7 @@ def late_shares(
     chain = loss_chain(parameters, dropout)
     last = len(useful) - 1
     starts, offsets = np.arange(-1, ticks - len(window) + 1), np.arange(last + 1)[:, None]
-    leaves = (np.arange(period) + offsets) % period == 0
-    shares = none_in_time(chain, useful[:, None] * leaves)[1][starts % period]
+    shares = _shares_by_phase(chain, useful, period)[starts % period]
     blackout = np.zeros(ticks + last + 2, dtype=bool)  # from tick -1 on
     for first, after in parameters.blackouts.tolist():
         blackout[1 + first : 1 + min(after, ticks)] = True
@@ -214,7 +251,8 @@ def late_shares(
     hidden = before[starts + last + 2] - before[starts + 2]
     shares[(hidden > 0) & (hidden == last)] = 1.0
     partly = np.flatnonzero((hidden > 0) & (hidden < last))
-    for group in (partly[k : k + _GROUP] for k in range(0, len(partly), _GROUP)):
+    size = max(1, _GROUP // (last + 1))
+    for group in (partly[k : k + size] for k in range(0, len(partly), size)):
         at = starts[group] + offsets
         reached = useful[:, None] * ((at % period == 0) & ~blackout[at + 1])
         shares[group] = none_in_time(chain, reached)[1]
@@ -242,4 +280,6 @@ def recorded_late_share(delays: IntArray, window: IntArray, dropout: float = 0.0
         there = delays[left + offset]
         missed[left[(there >= 0) & (there <= window[offset])]] *= dropout
         left = left[missed[left] > _NEGLIGIBLE]
+        if not left.size:
+            break
     return float(missed.mean()) if len(missed) else 0.0
