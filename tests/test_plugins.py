@@ -129,7 +129,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 REFUSED = {
     "law.name=cautios": "did you mean 'cautious'?",
     "law.parameters.powr=1": "law.parameters.powr = 1: unknown parameter, did you mean 'power'?",
-    "law.parameters.power=x": 'law.parameters.power = "x": not a number',
+    "law.parameters.power=x": 'law.parameters.power = "x": text; allowed: a number',
     "ugv.0.driver=zigzg": "did you mean 'zigzag'?",
     "sensor.model=con": "did you mean 'cone'?",
 }

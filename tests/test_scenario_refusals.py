@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from bus.errors import ScenarioError
 from bus.law_parameters import law_parameters
 from bus.messages.scenario import Law
+from bus.numbers import above, at_least, at_most, below, exact
 from bus.registry import LAWS
 from refusals import SHIPPED, SMALL, refusal, written
 from sim.engine.briefing import briefing
@@ -46,9 +47,9 @@ time_is_whole | dt=1e-9 | dt = 1e-09 | 1e-06 to 1 s
 time_is_whole | duration=30.02 | duration = 30.02 | multiples of dt = 0.05 s, such as 30
 time_is_whole | duration=0.01 | duration = 0.01 | such as 0.05
 time_is_whole | duration=500000.05 | duration = 500000.05 | 10,000,000 ticks at most, 500000 s
-rates_fit_ticks | detections.rate=7 | detections.rate = 7.0 | 20, 10, 6.667, ... 1/s
-rates_fit_ticks | detections.rate=40 | detections.rate = 40.0 | 20, 10, 6.667, ... 1/s
-rates_fit_ticks | detections.rate=1e-6 | detections.rate = 1e-06 | 20, 10, 6.667, ... 1/s
+rates_fit_ticks | detections.rate=7 | detections.rate = 7.0 | 20, 10, 6.666667, ... 1/s
+rates_fit_ticks | detections.rate=40 | detections.rate = 40.0 | 20, 10, 6.666667, ... 1/s
+rates_fit_ticks | detections.rate=1e-6 | detections.rate = 1e-06 | 20, 10, 6.666667, ... 1/s
 sight_is_within_range | visibility.radius=5 | visibility.radius = 5.0 | less than sensor.range = 5 m
 points_are_inside | uav.0.position=[40.5, 9] | uav.0.position = [40.5, 9.0] | [0, 40] x [0, 40] m
 points_are_inside | ugv.0.goals.1=[1, -1] | ugv.0.goals.1 = [1.0, -1.0] | [0, 40] x [0, 40] m
@@ -92,7 +93,7 @@ reference_speed_is_possible | law.parameters.reference_speed=0.7
 reference_speed_is_possible | uav.0.max_speed=inf & uav.0.max_acceleration=inf | law.parameters.reference_speed
 | a number > 0, in m/s
 controller_is_stable | law.parameters.b_c=-4.0 | law.parameters = {a_c = -3.0, b_c = -4.0 | 0 < D A - B C < A D
-rates_fit_ticks | ground.rate=7 & hazard=[{kind="block",center=[1,1],radius=0.2}] | ground.rate = 7.0 | 20, 10, 6.667
+rates_fit_ticks | ground.rate=7 & hazard=[{kind="block",center=[1,1],radius=0.2}] | ground.rate = 7.0 | 20, 10, 6.666667
 hazards_are_known | hazard=[{kind="wall",center=[1,1],radius=0.2}] | hazard.0.kind = "wall" | rough, block, find
 hazards_are_known | hazard_field=[{kind="blok",count=1,radius=[1,2]}] | hazard_field.0.kind = "blok" | block
 hazards_are_known | ground.touch=explode | ground.touch = "explode" | stuck, damage
@@ -241,25 +242,32 @@ def test_a_scenario_may_have_the_parameters_of_several_laws() -> None:
 
 CHANGES = [
     *rows(r"""
-dt=true | dt = true: not a number; allowed: a number
+dt=true | dt = true: a truth value; allowed: a number
 dt=-1 | dt = -1: out of bounds; allowed: a number > 0.0
 duration=1e400 | duration = inf: out of bounds; allowed: a number <= 1000000000000.0
-seed=1.5 | seed = 1.5: not a whole number; allowed: a whole number
-title=2020-01-01 | title = 2020-01-01: not text; allowed: text
+seed=1.5 | seed = 1.5: not whole; allowed: a whole number
+title=2020-01-01 | title = 2020-01-01: a date or time; allowed: text
 detections.dropout=2 | detections.dropout = 2: out of bounds; allowed: a number <= 1.0
 law={name="lookahead",parameters={horizon=0.1}}
 | law.parameters.horizon = 0.1: out of bounds; allowed: a number >= 0.5
 law={name="lookahead",parameters={candidates=2.5}}
-| law.parameters.candidates = 2.5: not a whole number; allowed: a whole number
-law.parameters.reference_speed=x | law.parameters.reference_speed = "x": not a number, or true or false
-estimator.enabled=1 | estimator.enabled = 1: not true or false; allowed: true or false
+| law.parameters.candidates = 2.5: not whole; allowed: a whole number
+law.parameters.reference_speed=x | law.parameters.reference_speed = "x": text; allowed: a number, or true or false
+estimator.enabled=1 | estimator.enabled = 1: a number; allowed: true or false
 links.profile=wify | links.profile = "wify": unknown profile, did you mean 'wifi'?
 links.everything.delay=1 | links.everything = {delay = 1}: unknown field
-links.commands=3 | links.commands = 3: not a table
+links.commands=3 | links.commands = 3: a number; allowed: a table
 uav.0.position=[1, 2, 3] | uav.0.position = [1, 2, 3]: out of bounds; allowed: a list of length 2
-uav.0.position=[1, true] | uav.0.position.1 = true: not a number; allowed: a number
+uav.0.position=[1, true] | uav.0.position.1 = true: a truth value; allowed: a number
 uav.0.name=UAV | uav.0.name = "UAV": not a name; allowed: lower-case letters
 ugv=[] | ugv = []: out of bounds; allowed: a list of length >= 1
+uav.0.escorts=["ugv_0"] | uav.0.escorts = ["ugv_0"]: a list; allowed: the name of one UGV
+dt=0.0003 | duration = 200.0: not a whole number of ticks; allowed: multiples of dt = 0.0003 s, such as 200.0001
+detections.rate=17 | detections.rate = 17.0: the period is not a whole number of ticks; allowed: 20, 10, 6.666667, ...
+area.cell=0.01 | area.cell = 0.01: makes 1.6e+07 cells, more than 4,000,000; allowed: 0.02 m or more
+duration=500000.05 | duration = 500000.05: makes 10000001 ticks; allowed: 10,000,000 ticks at most, 500000 s
+uav.0.velocity=[0.6000001, 0] | uav.0.velocity = [0.6000001, 0.0]: a speed of 0.6000001 m/s; allowed: up to
+ugv.0.max_speed=0.7000001 | uav.0.max_speed = 0.6: not above the UGV ugv_0; allowed: above 0.7000001 m/s
 uav={position=[1, 2]} | uav = {position = [1, 2]}: a single table; allowed: a list, in TOML [[uav]]
 coverage.covered=[{lower=[1, 1]}] | coverage.covered.0.upper: missing; allowed: [x, y] in m
 building=[{height=0,polygon=[]}] | building.0.height = 0: out of bounds; allowed: a number > 0
@@ -296,6 +304,28 @@ def test_impossible_override_is_a_scenario_error(change: str, start: str) -> Non
     line = refusal(overrides=[change])
     assert line.startswith(f"escort: {start}")
     assert len(line) < 250 or "unknown field" in line
+
+
+@given(st.floats(1e-3, 1e6), st.integers(1, 10**6), st.integers(3, 6))
+def test_rounded_numbers_do_not_contradict_their_bounds(bound, steps, digits):
+    more = bound * (1.0 + steps * 2.0**-50)
+    assert bound == float(exact(bound)) < float(above(more, bound, digits))
+    assert float(below(bound, more, digits)) < more
+    assert float(at_most(bound, digits)) <= bound * (1.0 + 1e-11)
+    assert float(at_least(bound, digits)) >= bound * (1.0 - 1e-11)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        "dt=0.0003 & detections.rate=3333.333333 & duration=200.0001",
+        "detections.rate=6.666667",
+        "area.cell=0.02",
+    ],
+)
+def test_the_allowed_numbers_of_an_error_are_accepted(changes: str) -> None:
+    """Rows of `CHANGES` above name them."""
+    load_scenario("escort", overrides=["detections.rate=20", *changes.split(" & ")])
 
 
 # Files

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 
 from bus.errors import ScenarioError
+from bus.numbers import above, at_most, exact
 from sim.compiling.compile import compiled
 
 _SAMPLES = 2000
@@ -107,10 +108,9 @@ def check_path(
     for index in range(_SAMPLES + 1):
         t = step + index * (duration - 2.0 * step) / _SAMPLES
         try:
-            (before, _), (here, acceleration), (after, _) = path(t - step), path(t), path(t + step)
-            values = [
-                float(value) for pair in (before, here, after, acceleration) for value in pair
-            ]
+            (before, _), (here, acceleration), (after, _) = map(path, (t - step, t, t + step))
+            pairs = before, here, after, acceleration
+            values = [float(value) for pair in pairs for value in pair]
         except (TypeError, ValueError, ArithmeticError) as error:
             raise ScenarioError(
                 f"path at t = {t:.6g} s: {error}; it must return ((x, y), (x'', y''))"
@@ -120,10 +120,10 @@ def check_path(
                 f"path at t = {t:.6g} s: returned {values}; it must return ((x, y), (x'', y'')), all finite"
             )
         b_x, b_y, x, y, c_x, c_y, a_x, a_y = values
-        if math.hypot(x, y) >= r_v:
-            raise ScenarioError(
-                f"path at t = {t:.6g} s: lies {math.hypot(x, y):.6g} m from the UGV; allowed: less than r_v = {r_v:g} m"
-            )
+        if (far := math.hypot(x, y)) >= r_v:
+            wrong = f"lies {above(far, r_v, 6)} m from the UGV"
+            allowed = f"less than r_v = {exact(r_v)} m"
+            raise ScenarioError(f"path at t = {t:.6g} s: {wrong}; allowed: {allowed}")
         found = math.hypot(
             (c_x - 2.0 * x + b_x) / step**2 - a_x, (c_y - 2.0 * y + b_y) / step**2 - a_y
         )
@@ -133,15 +133,14 @@ def check_path(
             )
         fastest = max(fastest, (math.hypot(c_x - b_x, c_y - b_y) / (2.0 * step), t))
         hardest = max(hardest, (math.hypot(a_x, a_y), t))
-    warnings = []
+    warnings, spare = [], v_a - v_g
     if fastest[0] + v_g > v_a * (1.0 + 1e-6):
         warnings.append(
-            f"path: cannot be flown: needs {fastest[0]:.4g} m/s at t = {fastest[1]:.4g} s; "
-            f"allowed: up to v_a - v_g = {v_a - v_g:.4g} m/s"
+            f"path: cannot be flown: needs {above(fastest[0], spare)} m/s at t = {fastest[1]:.4g} s; "
+            f"allowed: up to v_a - v_g = {at_most(spare, 4)} m/s"
         )
     if hardest[0] > u_a * (1.0 + 1e-6):
-        warnings.append(
-            f"path: cannot be flown: needs {hardest[0]:.4g} m/s² at t = {hardest[1]:.4g} s; allowed: up to u_a = "
-            f"{u_a:.4g} m/s²"
-        )
+        needed = f"{above(hardest[0], u_a)} m/s² at t = {hardest[1]:.4g} s"
+        allowed = f"up to u_a = {exact(u_a)} m/s²"
+        warnings.append(f"path: cannot be flown: needs {needed}; allowed: {allowed}")
     return tuple(warnings)

@@ -1,6 +1,7 @@
 """Visibility constraint (5) and switching radius (18) of the paper."""
 
 from bus.errors import ScenarioError
+from bus.numbers import exact
 from sim.compiling.compile import compiled
 from sim.models.vehicles import norm, raw_switching_radius
 
@@ -31,7 +32,7 @@ def switching_radius(r_v: float, v_a: float, v_g: float, u_a: float) -> float:
     r_s: float = raw_switching_radius(r_v, v_a, v_g, u_a)
     if not r_s > 0.0:
         raise ScenarioError(
-            f"r_s = {r_s:.6g} m: the UAV (v_a = {v_a:g} m/s, u_a = {u_a:g} m/s²) is too weak to keep a UGV of "
-            f"{v_g:g} m/s within r_v = {r_v:g} m; r_s must be positive"
+            f"r_s = {r_s:.6g} m: the UAV (v_a = {exact(v_a)} m/s, u_a = {exact(u_a)} m/s²) is too weak to keep a UGV "
+            f"of {exact(v_g)} m/s within r_v = {exact(r_v)} m; r_s must be positive"
         )
     return r_s

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 
 from bus.errors import ScenarioError
+from bus.numbers import exact
 from sim.compiling.compile import compiled
 
 _SAMPLES = 2000
@@ -89,11 +90,11 @@ def check_weighting(weighting: Weighting, r_s: float) -> None:
             ) from error
         if not fine:
             raise ScenarioError(
-                f"weighting at a distance of {distance:.6g} m: alpha = {alpha:g}, beta = {beta:g}; "
+                f"weighting at a distance of {distance:.6g} m: alpha = {exact(alpha)}, beta = {exact(beta)}; "
                 "allowed: finite numbers, not negative (Proposition 2)"
             )
         if distance >= r_s and (alpha, beta) != (1.0, 0.0):
             raise ScenarioError(
-                f"weighting at a distance of {distance:.6g} m >= r_s = {r_s:.6g} m: alpha = {alpha:g}, "
-                f"beta = {beta:g}; Proposition 2 asks for alpha = 1, beta = 0 there"
+                f"weighting at a distance of {distance:.6g} m >= r_s = {r_s:.6g} m: alpha = {exact(alpha)}, "
+                f"beta = {exact(beta)}; Proposition 2 asks for alpha = 1, beta = 0 there"
             )

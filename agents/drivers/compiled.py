@@ -28,6 +28,7 @@ from bus.messages.vehicle import (
     UgvObservation,
     UgvReport,
 )
+from bus.numbers import exact
 from bus.registry import DRIVERS, module_of
 from bus.ticks import first_tick_from, look_rows, looks_of
 from sim.compiling.compile import FloatArray
@@ -90,7 +91,7 @@ def briefed_grid(briefing: UgvBriefing) -> OccupancyGrid:
     shape = tiles_shape(area.width, area.height, ground.tile)
     if shape[0] * shape[1] > MOST_TILES:
         raise ScenarioError(
-            f"ground.tile = {ground.tile:g}: divides the area into {shape[0] * shape[1]:.3g} tiles; "
+            f"ground.tile = {exact(ground.tile)}: divides the area into {shape[0] * shape[1]:,} tiles; "
             f"allowed: at most {MOST_TILES:,}"
         )
     kept = ground.tile_clearance

@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable
 
 from agents.safety.discs import AS_EXPECTED, MARGIN, MOST_KEPT, lens_distance
+from bus.numbers import above, at_most, below, exact
 from bus.ticks import ticks_within
 from sim.compiling.compile import compiled
 from sim.models.safety import SafetyBounds
@@ -311,11 +312,9 @@ def _speed_fault(bounds: SafetyBounds) -> str:
     """Return the fault of the speeds; empty if there is none."""
     v_a, v_g = bounds.v_a, bounds.v_g
     if not math.isfinite(v_a) or not math.isfinite(v_g):
-        return (
-            f"max_speed = {v_a:g} m/s (UAV), {v_g:g} m/s (UGV): unbounded; allowed: finite speeds"
-        )
+        return f"max_speed = {exact(v_a)} m/s (UAV), {exact(v_g)} m/s (UGV): unbounded; allowed: finite speeds"
     if not v_g < v_a:
-        return f"uav.max_speed = {v_a:g} m/s: too slow; allowed: more than the UGV's, {v_g:g} m/s"
+        return f"uav.max_speed = {exact(v_a)} m/s: too slow; allowed: more than the UGV's, {exact(v_g)} m/s"
     return ""
 
 
@@ -323,11 +322,11 @@ def _acceleration_fault(bounds: SafetyBounds) -> str:
     """Return the fault of the UAV's acceleration; empty if there is none."""
     u_a, change = bounds.u_a, bounds.u_a * bounds.dt
     if not u_a > 0.0:
-        return f"uav.max_acceleration = {u_a:g} m/s²: not positive; allowed: more than 0"
+        return f"uav.max_acceleration = {exact(u_a)} m/s²: not positive; allowed: more than 0"
     if change < _LEAST_STEP:
         return (
-            f"uav.max_acceleration = {u_a:g} m/s²: changes the speed by {change:g} m/s in a tick, "
-            f"too little to detect a lost command; allowed: at least {_LEAST_STEP:g} m/s"
+            f"uav.max_acceleration = {exact(u_a)} m/s²: changes the speed by {below(change, _LEAST_STEP)} m/s in a "
+            f"tick, too little to detect a lost command; allowed: at least {_LEAST_STEP:g} m/s"
         )
     return ""
 
@@ -336,15 +335,16 @@ def _age_fault(bounds: SafetyBounds) -> str:
     """Return the fault of the measurement age; empty if there is none."""
     b, age = bounds, bounds.max_measurement_age
     if not math.isfinite(age):
-        return f"max_measurement_age = {age:g} s: unbounded; allowed: a finite age"
+        return f"max_measurement_age = {exact(age)} s: unbounded; allowed: a finite age"
     if b.max_age_ticks >= MOST_KEPT:
-        return f"max_measurement_age = {age:g} s: {b.max_age_ticks:,} ticks; allowed: less than {MOST_KEPT:,} ticks"
+        ticks = f"{b.max_age_ticks:,} ticks; allowed: less than {MOST_KEPT:,} ticks"
+        return f"max_measurement_age = {exact(age)} s: {ticks}"
     largest = max(size if math.isfinite(size) else 0.0 for size in (b.width, b.height))
     strayed = 0.5 * math.ulp(largest) * (b.max_age_ticks + b.delay_ticks)
     if strayed > 0.5 * MARGIN:
         return (
             f"area = {b.width:g} m x {b.height:g} m: at this size rounding alone moves the UGV by up to "
-            f"{strayed:.2g} m in max_measurement_age = {age:g} s, more than the margin covers"
+            f"{strayed:.2g} m in max_measurement_age = {exact(age)} s, more than the margin covers"
         )
     return ""
 
@@ -359,25 +359,25 @@ def _handover_fault(bounds: SafetyBounds) -> str:
     """Return the error for bounds without a hand-over, with the limits up to which it holds."""
     b, age, delay = bounds, bounds.max_measurement_age, bounds.delay_ticks * bounds.dt
     rho, most = b.placed_error + b.v_g * (age + delay), largest_age(b)
-    causes = f"max_measurement_error = {b.max_measurement_error:g} m"
+    causes = f"max_measurement_error = {exact(b.max_measurement_error)} m"
     if b.max_tracking_error > 0.0:
-        causes += f" and max_tracking_error = {b.max_tracking_error:g} m"
-    driven = f"max_measurement_age = {age:g} s"
+        causes += f" and max_tracking_error = {b.max_tracking_error:.6g} m"
+    driven = f"max_measurement_age = {exact(age)} s"
     if delay > 0.0:
         driven += f" and max_command_delay = {delay:g} s"
     limit = "for no max_measurement_age"
     if not math.isnan(most):
-        limit = f"for max_measurement_age up to {most:.2f} s"
+        limit = f"for max_measurement_age up to {math.floor(100.0 * most) / 100.0:.2f} s"
     if b.interval_ticks > 1:
         most = largest_interval(b)
         limit += (
             ", or for no max_command_interval"
             if math.isnan(most)
-            else f", or for max_command_interval up to {most:.2f} s"
+            else f", or for max_command_interval up to {at_most(most, 4)} s"
         )
-        limit += f", not {b.interval_ticks * b.dt:g} s"
+        limit += f", not {above(b.interval_ticks * b.dt, most)} s"
     return (
-        f"the UGV's position is uncertain by up to {rho:.4g} m ({causes}, plus {b.v_g:g} m/s for {driven}): "
+        f"the UGV's position is uncertain by up to {rho:.4g} m ({causes}, plus {exact(b.v_g)} m/s for {driven}): "
         f"too much for visibility within {b.radius:.4g} m; "
         f"with the other values unchanged, sight can be certified {limit}"
     )

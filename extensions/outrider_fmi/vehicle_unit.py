@@ -24,6 +24,7 @@ from bus.messages.vehicle import (
     UgvBriefing,
     UgvObservation,
 )
+from bus.numbers import exact
 from bus.registry import DRIVERS, LAWS
 from bus.ticks import tick_of
 from outrider_fmi.variables import (
@@ -62,7 +63,7 @@ def tick_at(time: float, size: float, dt: float) -> int:
     tick = tick_of(time, dt)
     if tick < 0 or not abs(size - dt) <= _SHARE * dt:
         raise ValueError(
-            f"a step of {size:g} s from {time:g} s; allowed: steps of {dt:g} s, the scenario's dt, "
+            f"a step of {exact(size)} s from {exact(time)} s; allowed: steps of {exact(dt)} s, the scenario's dt, "
             "from multiples of it"
         )
     return tick
@@ -81,7 +82,7 @@ def check_inputs(values: Values) -> None:
     """
     for name, value in values.items():
         if not abs(value) <= _LARGEST:
-            raise ValueError(f"{name} = {value:g}; allowed: numbers up to {_LARGEST:g}")
+            raise ValueError(f"{name} = {exact(value)}; allowed: numbers up to {_LARGEST:g}")
 
 
 def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:

@@ -7,6 +7,7 @@ import msgspec
 
 from bus.errors import ScenarioError
 from bus.messages.vehicle import Teleoperation
+from bus.numbers import exact
 from bus.registry import DRIVERS
 from outrider.running.flying import InProcess, make_pilots
 from outrider.running.user_code import own_code
@@ -93,11 +94,11 @@ class WorldUnit:
         check_inputs(values)
         if flight.over:
             raise ValueError(
-                f"a step from {time:g} s: the run ends at {self.duration:g} s; allowed: earlier steps"
+                f"a step from {exact(time)} s: the run ends at {exact(self.duration)} s; allowed: earlier steps"
             )
         if tick != flight.world.tick:
             raise ValueError(
-                f"a step from {time:g} s; allowed: the next one, from {flight.world.time:g} s"
+                f"a step from {exact(time)} s; allowed: the next one, from {exact(flight.world.time)} s"
             )
         for name in self._driven:
             if values[f"{name}.operator.new"]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from bus.errors import ScenarioError
 from bus.messages.vehicle import UavBriefing
+from bus.numbers import exact
 from bus.observations import UAV
 from outrider_learning.bounds import MOST_TICKS, SMALLEST, positive, row, whole
 from outrider_learning.mlp import Mlp, load_policy
@@ -26,7 +27,7 @@ def check_made_for(name: str, value: float, made: float) -> None:
         ValueError: If the numbers differ.
     """
     if not math.isclose(value, made, rel_tol=1e-9, abs_tol=1e-9):
-        raise ValueError(f"{name} = {value:g}: the policy was trained with {made:g}")
+        raise ValueError(f"{name} = {exact(value)}: the policy was trained with {exact(made)}")
 
 
 def check_altitude(briefing: UavBriefing, *, trained: bool) -> None:

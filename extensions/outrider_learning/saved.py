@@ -17,6 +17,7 @@ from gymnasium import spaces
 from bus.errors import ScenarioError, shortened
 from bus.files import read_regular, writing
 from bus.messages.vehicle import UavBriefing
+from bus.numbers import exact
 from bus.observations import ROUNDING, UAV, by_name, largest, names
 from bus.policies import policy_forms
 from outrider_learning.learned import check_altitude, check_made_for
@@ -134,15 +135,15 @@ class SavedPolicy:
         warnings, (width, height) = [], (made["W"], made["H"])
         if area.width > width or area.height > height:
             warnings.append(
-                f"area = {area.width:g} m x {area.height:g} m: larger than the {width:g} m x {height:g} m of the "
-                "policy's training; it may observe positions outside its training range"
+                f"area = {exact(area.width)} m x {exact(area.height)} m: larger than the {exact(width)} m x "
+                f"{exact(height)} m of the policy's training; it may observe positions outside its training range"
             )
         if high is not None:
             check_made_for("max_climb_rate", high.max_climb_rate, made["w_max"])
             if high.max_altitude > made["z_max"]:
                 warnings.append(
-                    f"max_altitude = {high.max_altitude:g} m: higher than the {made['z_max']:g} m of the policy's "
-                    "training; it may observe altitudes outside its training range"
+                    f"max_altitude = {exact(high.max_altitude)} m: higher than the {exact(made['z_max'])} m of "
+                    "the policy's training; it may observe altitudes outside its training range"
                 )
         return tuple(warnings)
 

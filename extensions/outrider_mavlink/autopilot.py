@@ -19,6 +19,7 @@ from agents.uav import UavPilot
 from bus.errors import ScenarioError
 from bus.messages.base import Vector
 from bus.messages.vehicle import UavBriefing, UavCommand, UavObservation
+from bus.numbers import above, exact
 from outrider.running.refused import Refusals, Refused
 from outrider_mavlink.dialect import MavMessage, mavlink, packed
 from outrider_mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE, TOO_MANY
@@ -244,7 +245,7 @@ class AutopilotLink:
             hint = f"; accepted after {_TELEMETRY_TIMEOUT:g} s without telemetry"
             self._reject(OLDER, "telemetry", peer, hint)
         elif speed > self.max_speed * _SPEED_TOLERANCE:
-            what = f"telemetry of {speed:.2f} m/s (allowed: up to {self.max_speed:g})"
+            what = f"telemetry of {above(speed, self.max_speed)} m/s (allowed: up to {exact(self.max_speed)})"
             self._reject(BEYOND_BOUNDS, what, peer)
         else:
             self.reports += 1
@@ -380,7 +381,7 @@ class AutopilotPilot:
         elif not self._link.armed:
             why = "the autopilot is not armed"
         else:
-            why = f"tracking error {error:.2f} m, allowed up to {self._bound:g} m"
+            why = f"tracking error {above(error, self._bound)} m, allowed up to {exact(self._bound)} m"
         return f"{why}: the UAV holds its position, and nothing is certified"
 
     def counts(self) -> dict[str, object]:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 from bus.messages.base import Vector
 from bus.messages.scenario import Limits
 from bus.messages.vehicle import UavBriefing, UavObservation
+from bus.numbers import above, exact
 from outrider.running.refused import Refused
 from outrider_mavlink.dialect import MavMessage, mavlink
 from outrider_mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE, NOT_SUPPORTED
@@ -56,7 +57,9 @@ def _vector(north: float, east: float, bound: float, what: str) -> Vector:
     if not math.isfinite(size):
         raise Refused(NOT_FINITE, what)
     if size > bound * (1.0 + _NORM_TOLERANCE):
-        raise Refused(BEYOND_BOUNDS, f"{what} of {size:.3g} (allowed: up to {bound:g})")
+        raise Refused(
+            BEYOND_BOUNDS, f"{what} of {above(size, bound, 3)} (allowed: up to {exact(bound)})"
+        )
     return east, north
 
 

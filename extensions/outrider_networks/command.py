@@ -7,6 +7,7 @@ import msgspec
 import typer
 
 from bus.errors import ScenarioError
+from bus.numbers import exact
 from outrider.cli import options
 from outrider.cli.options import Json
 
@@ -135,7 +136,7 @@ def bounds(
     from outrider_networks.scenario_bounds import bounds_for
 
     if not 0.0 < risk < 1.0:
-        raise ScenarioError(f"--risk {risk:g}: out of range; allowed: above 0 and below 1")
+        raise ScenarioError(f"--risk {exact(risk)}: out of range; allowed: above 0 and below 1")
     loaded, _ = resolve(scenario, changes=changes, duration=duration, law=law, network=network)
     found = bounds_for(loaded, risk)
     if json:

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from bus.messages.links import LinkSettings
+from bus.numbers import above, below
 from bus.profiles import PROFILES
 from outrider_networks.samples import Sample, drawn_sample, recorded_sample
 from sim.channel.description import extra_delays
@@ -93,7 +94,8 @@ def fit_link(
     notes = list(_notes(recorded, sample))
     if ranked[nearest] < factor:
         notes.append(
-            f"the profile {nearest} is closer ({ranked[nearest]:.2f}) than the fit ({factor:.2f}): use it, or "
+            f"the profile {nearest} is closer ({below(ranked[nearest], factor, 3)}) than the fit "
+            f"({above(factor, ranked[nearest], 3)}): use it, or "
             f'replay the file with trace = "{recorded.name}" under [links.detections]'
         )
     fit = Fit(

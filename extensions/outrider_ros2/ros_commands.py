@@ -13,6 +13,7 @@ from bus.messages.base import Vector
 from bus.messages.control import Action, Control
 from bus.messages.scenario import Limits
 from bus.messages.telemetry import Status
+from bus.numbers import above, exact
 from bus.registry import TELEOP
 from outrider.running.refused import Refusals, Refused
 from outrider.view.operator import Helm, RunClient
@@ -121,7 +122,9 @@ def _velocity(message: RosMessage, vehicle: str, limits: Limits) -> Vector:
         raise Refused("climbs or turns", f"{values}; allowed: x (east) and y (north), all others 0")
     speed, most = math.hypot(moves.x, moves.y), limits.max_speed
     if most is not None and speed > most * (1.0 + _SPEED_TOLERANCE):
-        raise Refused("beyond the limits", f"{speed:.6g} m/s; allowed: up to {most:.6g}")
+        raise Refused(
+            "beyond the limits", f"{above(speed, most)} m/s; allowed: up to {exact(most)}"
+        )
     return float(moves.x), float(moves.y)
 
 

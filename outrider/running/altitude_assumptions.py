@@ -4,6 +4,7 @@ import math
 
 from agents.safety.levels import bounds_at, least_altitude, lowest_certified, radius_at
 from bus.messages.vehicle import UavBriefing
+from bus.numbers import above, exact
 from sim.engine.briefing import hiding_fault
 from sim.scenario.types import Scenario, Uav
 
@@ -13,7 +14,12 @@ def certified_from(briefing: UavBriefing) -> str:
     lowest = lowest_certified(briefing)
     if lowest is None:
         return ""
-    return f"sight can be certified from {lowest:.2f} m on, {_cause(briefing, lowest)}"
+    return f"sight can be certified from {_up(lowest)} m on, {_cause(briefing, lowest)}"
+
+
+def _up(altitude: float) -> str:
+    """Return an altitude, rounded up to a centimetre, as text."""
+    return f"{math.ceil(100.0 * altitude) / 100.0:.2f}"
 
 
 def _cause(briefing: UavBriefing, lowest: float) -> str:
@@ -25,16 +31,16 @@ def _cause(briefing: UavBriefing, lowest: float) -> str:
         return "the lowest altitude of the UAV"
     if lowest <= least_altitude(briefing):
         return (
-            f"{own.vertical_clearance:g} m above the highest building "
-            f"({briefing.max_building_height or 0.0:g} m)"
+            f"{exact(own.vertical_clearance)} m above the highest building "
+            f"({exact(briefing.max_building_height or 0.0)} m)"
         )
     above = lowest - briefing.marker_height
     seen = above * math.tan(camera.half_angle)
     if radius_at(briefing, lowest) >= seen - 1e-6:
         return f"where the camera sees the UGV within {seen:.2f} m; lower, that is too little"
     return (
-        f"where buildings of up to {briefing.max_building_height:g} m hide no UGV within "
-        f"{radius_at(briefing, lowest):.2f} m that keeps {briefing.building_clearance:g} m from them; "
+        f"where buildings of up to {exact(briefing.max_building_height or 0.0)} m hide no UGV within "
+        f"{radius_at(briefing, lowest):.2f} m that keeps {exact(briefing.building_clearance)} m from them; "
         "lower, that is too little"
     )
 
@@ -58,14 +64,16 @@ def altitude_fault(scenario: Scenario, uav: Uav, briefing: UavBriefing) -> str:
         highest = briefing.altitude.max_altitude
         floor = least_altitude(briefing)
         if floor > highest:
-            return f"max_altitude = {highest:g} m: lower than the {floor:g} m that clear the highest building"
+            needed = f"the {above(floor, highest)} m that clear the highest building"
+            return f"max_altitude = {exact(highest)} m: lower than {needed}"
         if bounds_at(briefing).valid:
             return (
-                f"even at max_altitude = {highest:g} m the UGV is visible within {radius_at(briefing, highest):.2f} m "
-                "only; raise max_altitude, camera.half_angle or ugv.building_clearance"
+                f"even at max_altitude = {exact(highest)} m the UGV is visible within "
+                f"{radius_at(briefing, highest):.2f} m only; raise max_altitude, camera.half_angle or "
+                "ugv.building_clearance"
             )
         return ""
     if scenario.altitude.law == "fixed" and briefing.altitude.initial_altitude < lowest:
         start = briefing.altitude.initial_altitude
-        return f"initial_altitude = {start:g} m: too low, {certified_from(briefing)}"
+        return f"initial_altitude = {exact(start)} m: too low, {certified_from(briefing)}"
     return ""

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bus.messages.links import LinkSettings
+from bus.numbers import above
 from bus.ticks import TICK_TOLERANCE, first_tick_from
 from sim.channel.jitter import NORMAL, SHAPES, UNIFORM, jitter_share
 from sim.channel.link_records import DELAYS, NOTHING, OPPORTUNITIES, LinkParameters
@@ -112,7 +113,7 @@ def link_faults(
     longest += longest_recorded(settings, traces)
     if longest > _LONGEST:
         with_what = "the trace" if settings.trace else "jitter and reordering"
-        wrong = f"the delay can be {longest:.4g} s with {with_what}"
+        wrong = f"the delay can be {above(longest, _LONGEST)} s with {with_what}"
         yield Fault(f"{path}delay", settings.delay, wrong, f"at most {_LONGEST:g} s in total")
 
 
@@ -120,7 +121,7 @@ def _number_faults(settings: LinkSettings, path: str) -> Iterator[Fault]:
     for field in settings.__struct_fields__:
         value = getattr(settings, field)
         if isinstance(value, float) and not math.isfinite(value):
-            yield Fault(f"{path}{field}", value, "not a number", "finite numbers")
+            yield Fault(f"{path}{field}", value, "not finite", "finite numbers")
     for k, (start, length) in enumerate(settings.blackouts):
         if not 0.0 <= start < math.inf:
             yield Fault(

@@ -21,6 +21,7 @@ from msgspec import Meta
 from bus.errors import ScenarioError
 from bus.messages.base import Text
 from bus.messages.links import LinkSettings
+from bus.numbers import exact
 from sim.compiling.compile import FloatArray, IntArray
 from sim.input.faults import Fault, shown
 
@@ -191,7 +192,7 @@ def _fates(text: str) -> Fates:
                 raise _Wrong(number, ",".join(cells), "too few cells", "as many as in the header")
             time, took = _seconds(cells[columns["sent"]], number, "sent"), math.nan
             if time < before:
-                raise _Wrong(number, time, f"sent before {before:g} s", "non-decreasing times")
+                raise _Wrong(number, time, f"sent before {exact(before)} s", "non-decreasing times")
             if cells[columns["delay"]].strip().lower() not in ("", "lost"):
                 took = _seconds(cells[columns["delay"]], number, "delay")
                 if took < 0.0:

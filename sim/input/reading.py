@@ -1,5 +1,6 @@
 """Reading of TOML text and raw values into structs; each fault is reported in one line."""
 
+import datetime
 import re
 import tomllib
 from typing import Any, TypeVar
@@ -40,6 +41,22 @@ _NEEDED = {
     "height": "a number in m",
 }
 """Allowed values of required fields that are not points, by name; before that, by table and name."""
+_GIVEN: tuple[tuple[tuple[type, ...], str], ...] = (
+    ((bool,), "a truth value"),
+    ((int, float), "a number"),
+    ((str,), "text"),
+    ((list, tuple), "a list"),
+    ((dict,), "a table"),
+    ((datetime.date, datetime.time), "a date or time"),
+    ((type(None),), "no value"),
+)
+"""Kinds of given values, in words; the first that fits."""
+_MEANT = {
+    "escorts": "the name of one UGV, as each UAV escorts one",
+    "driver": "the name of one driver",
+    "model": "the name of one model",
+}
+"""Allowed values of fields whose type alone would not say what is meant."""
 _NAME_RULE = "lower-case letters, digits and '_', starting with a letter, at most 32"
 
 
@@ -129,7 +146,7 @@ def _fault(message: str, raw: Any, kind: type[msgspec.Struct]) -> Fault:  # noqa
     if where.endswith("[...]`"):  # msgspec does not name the entry of a table
         entry = next(name for name, value in raw.items() if not _is_number(value))
         here, raw = f"{here}.{entry}", raw[entry]
-    return Fault(here, raw, *_wrong_and_allowed(text, here))
+    return Fault(here, raw, *_wrong_and_allowed(text, here, raw))
 
 
 def _fields(kind: type[msgspec.Struct], path: list[str]) -> list[str]:
@@ -147,15 +164,25 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and abs(value) <= _LARGEST_NUMBER
 
 
-def _wrong_and_allowed(text: str, field: str) -> tuple[str, str]:
+def _kind_of(value: object) -> str:
+    """Return the kind of a value in words."""
+    return next((name for kinds, name in _GIVEN if isinstance(value, kinds)), "another type")
+
+
+def _wrong_and_allowed(text: str, field: str, value: object) -> tuple[str, str]:
     """Convert `Expected X rule, got Y`."""
     if not text.startswith("Expected `"):
         return text.lower(), "a number that a float can hold"
     expected, _, got = text.removeprefix("Expected `").partition(", got ")
     name, _, rule = expected.partition("`")
-    kind = _KINDS.get(name.removesuffix(" | null"), name)
+    name = name.removesuffix(" | null")
+    kind = _KINDS.get(name, name)
     if "matching" in rule:
         return "not a name", _NAME_RULE
     if name == "array" and got == "`object`":
         return "a single table", f"a list, in TOML [[{field}]]"
-    return f"not {kind}" if got.startswith("`") else "out of bounds", f"{kind}{rule}"
+    if not got.startswith("`"):
+        return "out of bounds", f"{kind}{rule}"
+    if name == "int" and isinstance(value, float):
+        return "not whole", f"{kind}{rule}"
+    return _kind_of(value), _MEANT.get(field.rpartition(".")[2], f"{kind}{rule}")

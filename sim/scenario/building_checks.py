@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bus.messages.buildings import MOST_BUILDINGS, AltitudeLimits
+from bus.numbers import at_least, below, exact
 from bus.registry import ALTITUDE_LAWS, CAUTIONS
 from sim.input.faults import Fault, unknown_name
 from sim.models.hazards import BLOCK, hazard_at
@@ -24,6 +25,7 @@ _VERTICAL = (
     "max_vertical_acceleration",
     "vertical_clearance",
 )
+_ROUNDING = 1e-12
 _MOST_CORNERS = 10_000
 """Maximum number of corners of all given buildings, which bounds the size of a briefing."""
 
@@ -40,7 +42,7 @@ def altitudes_are_possible(scenario: Scenario) -> Iterator[Fault]:
                     wrong = "no effect without an initial altitude"
                     yield Fault(f"uav.{k}.{name}", value, wrong, f"also uav.{k}.initial_altitude")
         elif limits.min_altitude > limits.max_altitude:
-            allowed = f"up to uav.{k}.max_altitude = {limits.max_altitude:g} m"
+            allowed = f"up to uav.{k}.max_altitude = {exact(limits.max_altitude)} m"
             yield Fault(
                 f"uav.{k}.min_altitude", limits.min_altitude, "above the highest altitude", allowed
             )
@@ -49,7 +51,7 @@ def altitudes_are_possible(scenario: Scenario) -> Iterator[Fault]:
                 f"uav.{k}.initial_altitude",
                 limits.initial_altitude,
                 "out of bounds",
-                f"{limits.min_altitude:g} to {limits.max_altitude:g} m",
+                f"{exact(limits.min_altitude)} to {exact(limits.max_altitude)} m",
             )
 
 
@@ -70,18 +72,18 @@ def cameras_see(scenario: Scenario) -> Iterator[Fault]:
             yield Fault(
                 f"ugv.{numbers[ugv.name]}.marker_height",
                 ugv.marker_height,
-                f"not below any altitude of its UAV, {path}.max_altitude = {limits.max_altitude:g} m",
-                f"less than {path}.min_altitude = {limits.min_altitude:g} m",
+                f"not below any altitude of its UAV, {path}.max_altitude = {exact(limits.max_altitude)} m",
+                f"less than {path}.min_altitude = {exact(limits.min_altitude)} m",
             )
         for field in ("initial_altitude", "min_altitude"):
             altitude: float = getattr(limits, field)
             seen = (altitude - ugv.marker_height) * slope
             if seen < cell:
-                wrong = f"the marker at {ugv.marker_height:g} m is not below it"
+                wrong = f"the marker at {exact(ugv.marker_height)} m is not below it"
                 if seen > 0.0:
-                    wrong = f"the camera sees {seen:.3g} m there, less than a cell"
+                    wrong = f"the camera sees {below(seen, cell, 3)} m there, less than a cell ({exact(cell)} m)"
                 least = ugv.marker_height + cell / slope
-                yield Fault(f"{path}.{field}", altitude, wrong, f"above {least:.4g} m")
+                yield Fault(f"{path}.{field}", altitude, wrong, f"above {at_least(least, 4)} m")
 
 
 def uavs_have_an_altitude(scenario: Scenario) -> Iterator[Fault]:
@@ -102,18 +104,18 @@ def building_fields_are_possible(scenario: Scenario) -> Iterator[Fault]:
             if smallest > largest:
                 value = [smallest, largest]
                 yield Fault(f"{path}.{name}", value, "out of order", "[smallest, largest] in m")
-        if field.street < 2.0 * least:
+        if field.street < 2.0 * least * (1.0 - _ROUNDING):
             wrong = "too narrow: its tiles between two buildings may all be closed"
             needed = "2 building_clearance + 3 ground.tile"
             if tile_clearance(scenario) > 0.0:
                 needed = "2 building_clearance + 6 ground.tile, as the buildings are unknown"
-            allowed = f"{2.0 * least:g} m or more: {needed}"
+            allowed = f"{at_least(2.0 * least)} m or more: {needed}"
             yield Fault(f"{path}.street", field.street, wrong, allowed)
         most = most_buildings(scenario, field)
         count += most
         if most == 0.0:
             side = min(scenario.area.width, scenario.area.height)
-            allowed = f"sides that fit with two streets into {side:g} m"
+            allowed = f"sides that fit with two streets into {exact(side)} m"
             yield Fault(f"{path}.block", list(field.block), "none fit into the area", allowed)
         elif count > MOST_BUILDINGS:
             wrong = f"makes up to {count:,.0f} buildings in total"
@@ -133,7 +135,7 @@ def buildings_have_a_shape(scenario: Scenario) -> Iterator[Fault]:
         yield from polygon_faults(path, building.polygon)
         low, high = building.bounds
         if not (low[0] >= 0.0 and low[1] >= 0.0 and high[0] <= width and high[1] <= height):
-            allowed = f"[0, {width:g}] x [0, {height:g}] m"
+            allowed = f"[0, {exact(width)}] x [0, {exact(height)}] m"
             yield Fault(path, building.polygon, "outside Q", allowed)
 
 
@@ -156,7 +158,7 @@ def buildings_leave_stops_free(scenario: Scenario) -> Iterator[Fault]:
         k = hazard_at(rows, corners, BLOCK, x, y)
         if k >= 0:
             polygon = scenario.building[k].polygon
-            wrong = f"covers {path} = [{x:g}, {y:g}]"
+            wrong = f"covers {path} = [{exact(x)}, {exact(y)}]"
             allowed = "a footprint away from all starts and goals"
             yield Fault(f"building.{k}.polygon", polygon, wrong, allowed)
     for n, uav in enumerate(scenario.uav):
@@ -164,8 +166,8 @@ def buildings_leave_stops_free(scenario: Scenario) -> Iterator[Fault]:
         if k >= 0 and limits is not None:
             least = scenario.building[k].height + limits.vertical_clearance
             if limits.initial_altitude < least:
-                wrong = f"too low over building.{k}, {scenario.building[k].height:g} m high"
-                allowed = f"{least:g} m or more there, or another position"
+                wrong = f"too low over building.{k}, {exact(scenario.building[k].height)} m high"
+                allowed = f"{at_least(least)} m or more there, or another position"
                 yield Fault(f"uav.{n}.initial_altitude", limits.initial_altitude, wrong, allowed)
 
 
@@ -173,8 +175,10 @@ def building_bounds_agree(scenario: Scenario) -> Iterator[Fault]:
     """Check that the declared height of the highest building is not below a building."""
     declared, highest = scenario.certificate.max_building_height, highest_building(scenario)
     if declared is not None and declared < highest:
-        wrong = f"below the highest possible building, {highest:g} m"
-        yield Fault("certificate.max_building_height", declared, wrong, f"{highest:g} m or more")
+        wrong = f"below the highest possible building, {exact(highest)} m"
+        yield Fault(
+            "certificate.max_building_height", declared, wrong, f"{exact(highest)} m or more"
+        )
 
 
 def building_warnings(scenario: Scenario) -> Iterator[str]:
@@ -188,13 +192,14 @@ def building_warnings(scenario: Scenario) -> Iterator[str]:
     needed = max((ugv.building_clearance for ugv in waiting), default=0.0) + 2.0 * tile
     if tile_clearance(scenario) > 0.0 and waiting and sensing < needed:
         yield (
-            f"ground.sensing_range = {sensing:g} m: a UGV may wait forever beside an unknown building, as no UAV sees "
-            f"the ground under it; {needed:g} m (building_clearance + 2 ground.tile) lets it sense the building itself"
+            f"ground.sensing_range = {exact(sensing)} m: a UGV may wait forever beside an unknown building, as no UAV "
+            f"sees the ground under it; {at_least(needed)} m (building_clearance + 2 ground.tile) lets it sense the "
+            "building itself"
         )
     for k, ugv in enumerate(scenario.ugv):
         fault = clearance_fault(scenario, ugv)
         if ugv.building_clearance > 0.0 and fault:
-            yield f"ugv.{k}.building_clearance = {ugv.building_clearance:g}: not ensured: {fault}"
+            yield f"ugv.{k}.building_clearance = {exact(ugv.building_clearance)}: not ensured: {fault}"
 
 
 BUILDING_CHECKS: tuple[Check, ...] = (

@@ -11,6 +11,7 @@ from bus.law_parameters import (
     parameters_class,
     unknown_parameters,
 )
+from bus.numbers import above, at_least, at_most, exact
 from bus.policies import Vehicle, policy_forms, policy_kinds
 from bus.registry import (
     DRIVERS,
@@ -89,7 +90,7 @@ def drivers_have_their_task(scenario: Scenario) -> Iterator[Fault]:
                 yield Fault(
                     f"ugv.{k}.script.{n}.time",
                     later,
-                    f"not after {earlier:g} s",
+                    f"not after {exact(earlier)} s",
                     "increasing times",
                 )
 
@@ -112,7 +113,10 @@ def switching_radius_is_positive(scenario: Scenario) -> Iterator[Fault]:
             least = (uav.max_speed + ugv.max_speed) ** 2 / (2.0 * scenario.visibility.radius)
             wrong = f"too weak for these speeds and this r_v: r_s = {r_s:.4g} m (18)"
             yield Fault(
-                f"{path}.max_acceleration", uav.max_acceleration, wrong, f"above {least:.4g} m/s²"
+                f"{path}.max_acceleration",
+                uav.max_acceleration,
+                wrong,
+                f"above {at_least(least, 4)} m/s²",
             )
 
 
@@ -144,7 +148,7 @@ def reference_speed_is_possible(scenario: Scenario) -> Iterator[Fault]:
                 "a number > 0, in m/s",
             )
         elif math.isfinite(v_ref) and v_ref > uav.max_speed:
-            allowed = f"up to uav.{k}.max_speed = {uav.max_speed:g} m/s"
+            allowed = f"up to uav.{k}.max_speed = {exact(uav.max_speed)} m/s"
             yield Fault(
                 f"{_PARAMETERS}.reference_speed", v_ref, "faster than the UAV can fly", allowed
             )
@@ -183,11 +187,13 @@ def circle_is_within_sight(scenario: Scenario) -> Iterator[Fault]:
                 f"{_PARAMETERS}.circle_radius",
                 radius,
                 "the circle is out of sight",
-                f"less than r_v = {r_v:g} m",
+                f"less than r_v = {exact(r_v)} m",
             )
         elif math.isinf(radius) and switching_radius(scenario, uav, ugv) >= r_v:
             wrong = f"missing, and r_s = r_v since {path}.max_acceleration = inf"
-            yield Fault(f"{_PARAMETERS}.circle_radius", None, wrong, f"less than r_v = {r_v:g} m")
+            yield Fault(
+                f"{_PARAMETERS}.circle_radius", None, wrong, f"less than r_v = {exact(r_v)} m"
+            )
 
 
 CHECKS: tuple[Check, ...] = (
@@ -306,16 +312,16 @@ def _circle_warnings(scenario: Scenario) -> Iterator[str]:
         spare = uav.max_speed - ugv.max_speed
         bound = largest_circle_rate(radius, uav.max_speed, ugv.max_speed, uav.max_acceleration)
         if rate > bound * (1.0 + _ROUNDING):
-            needs = (
-                f"needs {radius * rate:.3g} m/s and {radius * rate * rate:.3g} m/s² of {uav.name}"
-            )
+            speed = above(radius * rate, spare, 3)
+            needed = above(radius * rate * rate, uav.max_acceleration, 3)
+            needs = f"needs {speed} m/s and {needed} m/s² of {uav.name}"
             has = (
-                f"which relative to {ugv.name} has v_a - v_g = {spare:.3g} m/s "
-                f"and u_a = {uav.max_acceleration:.3g} m/s²"
+                f"which relative to {ugv.name} has v_a - v_g = {spare:.6g} m/s "
+                f"and u_a = {exact(uav.max_acceleration)} m/s²"
             )
             reason = f"the smaller of (v_a - v_g)/r_pv and sqrt(u_a/r_pv), r_pv = {radius:.4g} m"
             field = f"{_PARAMETERS}.circle_rate = {parameters.circle_rate}"
-            allowed = f"allowed up to {bound:.4f} rad/s, {reason}"
+            allowed = f"allowed up to {at_most(bound, 4)} rad/s, {reason}"
             yield f"{field}: cannot be flown: {needs}, {has}; {allowed}"
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from bus.numbers import exact
 from bus.registry import CAUTIONS, DRIVERS
 from sim.scenario.types import Scenario, Ugv
 
@@ -41,7 +42,7 @@ def clearance_fault(scenario: Scenario, ugv: Ugv, driver: str | None = None) -> 
     if scenario.buildings.known:
         return ""
     if scenario.ground.false_alarm > 0.0:
-        return f"ground.false_alarm = {scenario.ground.false_alarm:g}; allowed among unknown buildings: 0"
+        return f"ground.false_alarm = {exact(scenario.ground.false_alarm)}; allowed among unknown buildings: 0"
     return next(report_faults(scenario, ugv), "")
 
 
@@ -50,10 +51,10 @@ def report_faults(scenario: Scenario, ugv: Ugv) -> Iterator[str]:
     ground = scenario.ground
     escorts = [uav for uav in scenario.uav if uav.escorts == ugv.name]
     if escorts and ground.miss > 0.0:
-        yield f"ground.miss = {ground.miss:g}: a tile with a hazard may be reported clear; allowed: 0"
+        yield f"ground.miss = {exact(ground.miss)}: a tile with a hazard may be reported clear; allowed: 0"
     if len(escorts) > 1 and ground.false_alarm > 0.0:
         yield (
-            f"ground.false_alarm = {ground.false_alarm:g}: the reports of {len(escorts)} UAVs may contradict each "
+            f"ground.false_alarm = {exact(ground.false_alarm)}: the reports of {len(escorts)} UAVs may contradict each "
             "other; allowed: one UAV, or 0"
         )
 

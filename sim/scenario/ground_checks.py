@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from bus.messages.ground import Hazard
+from bus.numbers import above, at_least, exact
 from bus.registry import CAUTIONS, DRIVERS, HAZARDS, TOUCHES
 from sim.input.faults import Fault, unknown_name
 from sim.models.ground import TileArray, span, tile_index
@@ -52,16 +53,18 @@ def tiles_fit_area(scenario: Scenario) -> Iterator[Fault]:
     tile, area = scenario.ground.tile, scenario.area
     side, cell = min(area.width, area.height), area.cell
     least = max(cell, math.sqrt(area.width) * math.sqrt(area.height / _MOST_TILES))
-    allowed = f"{least:.3g} to {side:g} m"
+    allowed = f"{at_least(least, 3)} to {exact(side)} m"
     if tile > side:
         yield Fault("ground.tile", tile, "wider than the area", allowed)
     elif tile < cell * (1.0 - _ROUNDING):
-        yield Fault("ground.tile", tile, f"smaller than area.cell = {cell:g} m", allowed)
+        yield Fault("ground.tile", tile, f"smaller than area.cell = {exact(cell)} m", allowed)
     else:
         tiles = math.ceil(area.width / tile) * math.ceil(area.height / tile)
         if tiles > _MOST_TILES:
-            wrong = f"makes {tiles:.3g} tiles, more than {_MOST_TILES:,}"
-            yield Fault("ground.tile", tile, wrong, f"{least * 1.01:.3g} to {side:g} m")
+            wrong = f"makes {above(tiles, _MOST_TILES, 3)} tiles, more than {_MOST_TILES:,}"
+            yield Fault(
+                "ground.tile", tile, wrong, f"{at_least(least * 1.01, 3)} to {exact(side)} m"
+            )
 
 
 def hazards_have_a_shape(scenario: Scenario) -> Iterator[Fault]:
@@ -102,7 +105,7 @@ def _position_field(k: int, hazard: Hazard) -> tuple[str, object]:
 def hazards_lie_in_area(scenario: Scenario) -> Iterator[Fault]:
     """Check that each hazard overlaps Q, and that objects to find lie inside."""
     width, height = scenario.area.width, scenario.area.height
-    allowed = f"[0, {width:g}] x [0, {height:g}] m"
+    allowed = f"[0, {exact(width)}] x [0, {exact(height)}] m"
     for k, hazard in enumerate(scenario.hazard):
         low, high = hazard.bounds
         reach = hazard.radius or 0.0
@@ -124,7 +127,7 @@ def starts_and_goals_are_free(scenario: Scenario) -> Iterator[Fault]:
     for path, (x, y) in all_stops(scenario):
         k = hazard_at(rows, corners, BLOCK, x, y)
         if k >= 0:
-            wrong = f"covers {path} = [{x:g}, {y:g}]"
+            wrong = f"covers {path} = [{exact(x)}, {exact(y)}]"
             yield Fault(
                 *_position_field(k, scenario.hazard[k]),
                 wrong,
@@ -141,12 +144,10 @@ def routes_are_open(scenario: Scenario) -> Iterator[Fault]:
 
     tile, tiles = scenario.ground.tile, ground_tables(scenario).closed
     regions, _ = label(tiles != BLOCK)
-    allowed = f"a route of adjacent {tile:g} m tiles without hazards"
+    allowed = f"a route of adjacent {exact(tile)} m tiles without hazards"
     on_tile, what = "a blocking hazard touches its tile", "hazards"
     if scenario.building:
-        allowed += (
-            f", more than building_clearance = {scenario.building_clearance:g} m from buildings"
-        )
+        allowed += f", more than building_clearance = {exact(scenario.building_clearance)} m from buildings"
         on_tile, what = "a hazard or a building is too near to its tiles", "hazards or buildings"
     start = 0
     for path, (x, y) in all_stops(scenario):

@@ -8,6 +8,7 @@ import msgspec
 
 from bus.keys import STAFF
 from bus.messages.links import LinkKind
+from bus.numbers import above, at_least, at_most, enough_digits, exact
 from sim.channel.description import least_ticks, link_faults, link_parameters
 from sim.input.faults import Fault, is_whole
 from sim.models.inner_loop import needed_reserve, tracking_error
@@ -96,7 +97,7 @@ def grid_divides_area(scenario: Scenario) -> Iterator[Fault]:
             yield Fault(
                 "area.cell",
                 cell,
-                f"does not divide area.{side} = {size:g} m",
+                f"does not divide area.{side} = {exact(size)} m",
                 "a divisor of both sides, in m",
             )
     cells = (scenario.area.width / cell) * (scenario.area.height / cell)
@@ -105,8 +106,8 @@ def grid_divides_area(scenario: Scenario) -> Iterator[Fault]:
         yield Fault(
             "area.cell",
             cell,
-            f"makes {cells:.3g} cells, more than {_MOST_CELLS:,}",
-            f"{least:.3g} m or more",
+            f"makes {above(cells, _MOST_CELLS, 3)} cells, more than {_MOST_CELLS:,}",
+            f"{at_least(least, 3)} m or more",
         )
 
 
@@ -120,16 +121,17 @@ def time_is_whole(scenario: Scenario) -> Iterator[Fault]:
         yield Fault(
             "duration",
             scenario.duration,
-            f"makes {ticks:.3g} ticks",
-            f"{_MOST_TICKS:,} ticks at most, {_MOST_TICKS * scenario.dt:g} s",
+            f"makes {above(ticks, _MOST_TICKS, 3)} ticks",
+            f"{_MOST_TICKS:,} ticks at most, {at_most(_MOST_TICKS * scenario.dt)} s",
         )
     elif not is_whole(ticks, 1e-6):
-        near = max(1, round(ticks)) * scenario.dt
+        dt, near = scenario.dt, max(1, round(ticks)) * scenario.dt
+        fitting = enough_digits(near, lambda duration: is_whole(duration / dt, 1e-6))
         yield Fault(
             "duration",
             scenario.duration,
             "not a whole number of ticks",
-            f"multiples of dt = {scenario.dt:g} s, such as {near:.6g}",
+            f"multiples of dt = {exact(dt)} s, such as {fitting}",
         )
 
 
@@ -142,15 +144,20 @@ def rates_fit_ticks(scenario: Scenario) -> Iterator[Fault]:
         per_tick = rate * scenario.dt
         period = 1.0 / per_tick if per_tick > 0.0 else math.inf
         if period > _MOST_TICKS or not is_whole(period, 1e-6):
-            some = ", ".join(f"{1.0 / (n * scenario.dt):.4g}" for n in (1, 2, 3))
+            some = ", ".join(_rate(n, scenario.dt) for n in (1, 2, 3))
             wrong = "the period is not a whole number of ticks"
             yield Fault(field, rate, wrong, f"{some}, ... 1/s")
+
+
+def _rate(ticks: int, dt: float) -> str:
+    """Return the rate of a period of this number of ticks as text [1/s]."""
+    return enough_digits(1.0 / (ticks * dt), lambda rate: is_whole(1.0 / (rate * dt), 1e-6), 4)
 
 
 def sight_is_within_range(scenario: Scenario) -> Iterator[Fault]:
     """Check that the sensor's range exceeds r_v, Klodt 2015, eq. (5): r_v < r."""
     if scenario.visibility.radius >= scenario.sensor.range:
-        allowed = f"less than sensor.range = {scenario.sensor.range:g} m"
+        allowed = f"less than sensor.range = {exact(scenario.sensor.range)} m"
         yield Fault(
             "visibility.radius", scenario.visibility.radius, "r_v < r does not hold (5)", allowed
         )
@@ -170,7 +177,7 @@ def points_are_inside(scenario: Scenario) -> Iterator[Fault]:
                 path,
                 [x, y],
                 "outside Q",
-                f"[0, {scenario.area.width:g}] x [0, {scenario.area.height:g}] m",
+                f"[0, {exact(scenario.area.width)}] x [0, {exact(scenario.area.height)}] m",
             )
 
 
@@ -179,13 +186,13 @@ def covered_is_inside(scenario: Scenario) -> Iterator[Fault]:
     for k, region in enumerate(scenario.coverage.covered):
         for axis, letter, size in ((0, "x", scenario.area.width), (1, "y", scenario.area.height)):
             low, high = region.lower[axis], region.upper[axis]
-            path, allowed = f"coverage.covered.{k}", f"{letter} from 0 to {size:g} m"
+            path, allowed = f"coverage.covered.{k}", f"{letter} from 0 to {exact(size)} m"
             if low >= high:
                 yield Fault(
                     f"{path}.upper.{axis}",
                     high,
                     "not above the lower corner",
-                    f"more than {low:g} m",
+                    f"more than {exact(low)} m",
                 )
             if low < 0.0:
                 yield Fault(f"{path}.lower.{axis}", low, "outside Q", allowed)
@@ -198,9 +205,12 @@ def starts_are_within_bounds(scenario: Scenario) -> Iterator[Fault]:
     for path, vehicle in vehicles(scenario):
         speed = math.hypot(*vehicle.velocity)
         if speed > vehicle.max_speed * (1.0 + _ROUNDING):
-            allowed = f"up to {path}.max_speed = {vehicle.max_speed:g} m/s"
+            allowed = f"up to {path}.max_speed = {exact(vehicle.max_speed)} m/s"
             yield Fault(
-                f"{path}.velocity", vehicle.velocity, f"a speed of {speed:.4g} m/s", allowed
+                f"{path}.velocity",
+                vehicle.velocity,
+                f"a speed of {above(speed, vehicle.max_speed)} m/s",
+                allowed,
             )
 
 
@@ -214,7 +224,7 @@ def uav_is_stronger(scenario: Scenario) -> Iterator[Fault]:
                     f"{path}.{field}",
                     mine,
                     f"not above the UGV {ugv.name}",
-                    f"above {its:g} {unit}",
+                    f"above {exact(its)} {unit}",
                 )
 
 
@@ -222,12 +232,13 @@ def ugv_is_seen_at_start(scenario: Scenario) -> Iterator[Fault]:
     """Check the visibility constraint at the start (Proposition 2 of the paper)."""
     for path, uav, ugv in escorts(scenario):
         distance = math.dist(uav.position, ugv.position)
-        if distance >= scenario.visibility.radius:
-            allowed = f"nearer than visibility.radius = {scenario.visibility.radius:g} m"
+        radius = scenario.visibility.radius
+        if distance >= radius:
+            allowed = f"nearer than visibility.radius = {exact(radius)} m"
             yield Fault(
                 f"{path}.position",
                 uav.position,
-                f"{distance:.4g} m from {ugv.name} at the start",
+                f"{above(distance, radius)} m from {ugv.name} at the start",
                 allowed,
             )
 
@@ -236,8 +247,9 @@ def wind_is_possible(scenario: Scenario) -> Iterator[Fault]:
     """Check that the wind's mean is within its limit."""
     mean, limit = math.hypot(*scenario.wind.mean), scenario.wind.limit
     if limit is not None and mean > limit * (1.0 + _ROUNDING):
-        allowed = f"up to wind.limit = {limit:g} m/s²"
-        yield Fault("wind.mean", scenario.wind.mean, f"an acceleration of {mean:.4g} m/s²", allowed)
+        allowed = f"up to wind.limit = {exact(limit)} m/s²"
+        wrong = f"an acceleration of {above(mean, limit)} m/s²"
+        yield Fault("wind.mean", scenario.wind.mean, wrong, allowed)
 
 
 def inner_loops_hold(scenario: Scenario) -> Iterator[Fault]:
@@ -251,19 +263,22 @@ def inner_loops_hold(scenario: Scenario) -> Iterator[Fault]:
         k_p, k_d = loop.position_gain, loop.velocity_gain
         if wind == 0.0 and uav.position_error == 0.0:
             continue
-        unstable = f"the inner loop is unstable at dt = {scenario.dt:g} s"
+        unstable = f"the inner loop is unstable at dt = {exact(scenario.dt)} s"
         needed = needed_reserve(loop, wind, uav.position_error, scenario.dt)
         if k_d * scenario.dt >= 2.0:
             yield Fault(
-                f"{path}.velocity_gain", k_d, unstable, f"less than {2.0 / scenario.dt:g} 1/s"
+                f"{path}.velocity_gain",
+                k_d,
+                unstable,
+                f"less than {at_most(2.0 / scenario.dt)} 1/s",
             )
         elif k_p * scenario.dt >= 2.0 * k_d:
-            limit = f"less than 2 velocity_gain / dt = {2.0 * k_d / scenario.dt:g} 1/s²"
+            limit = f"less than 2 velocity_gain / dt = {at_most(2.0 * k_d / scenario.dt)} 1/s²"
             yield Fault(f"{path}.position_gain", k_p, unstable, limit)
         elif math.isinf(needed):
             yield Fault(f"{path}.position_gain", k_p, "the inner loop is too slow", "larger ones")
         elif math.isinf(tracking_error(loop, wind, uav.position_error, scenario.dt)):
-            wrong = f"cannot hold a wind of {wind:g} m/s² and a position_error of {uav.position_error:g} m"
+            wrong = f"cannot hold a wind of {exact(wind)} m/s² and a position_error of {exact(uav.position_error)} m"
             allowed = f"{needed + 5e-4:.3f} m/s² or more"
             yield Fault(f"{path}.reserve", loop.reserve, wrong, allowed)
 
@@ -282,6 +297,11 @@ def links_are_possible(scenario: Scenario) -> Iterator[Fault]:
             yield from link_faults(getattr(own, kind), f"links.only.{k}.{kind}.", traces)
 
 
+def _time_from(ticks: int, dt: float) -> str:
+    """Return the time of a number of ticks as text, not rounded to fewer ticks [s]."""
+    return enough_digits(ticks * dt, lambda time: round(time / dt) >= ticks)
+
+
 def commands_act(scenario: Scenario) -> Iterator[Fault]:
     """Check that commands do not arrive after the command timeout: else the vehicle would always brake."""
     for _, vehicle in vehicles(scenario):
@@ -289,7 +309,7 @@ def commands_act(scenario: Scenario) -> Iterator[Fault]:
         least = least_ticks(link_parameters(commands, scenario.dt, traces=scenario.links.traces))
         if least > round(scenario.command_timeout / scenario.dt):
             path = f"{scenario.links.path_of(vehicle.name, LinkKind.COMMANDS)} of {vehicle.name}"
-            age = f"{least * scenario.dt:g} s"
+            age = f"{_time_from(least, scenario.dt)} s"
             wrong = (
                 f"commands are {age} old or more on arrival ({path}), "
                 "so that the vehicle would always brake"

@@ -8,6 +8,7 @@ import numpy as np
 from bus.messages.decision import NotCertified
 from bus.messages.telemetry import VehicleStatus
 from bus.messages.vehicle import BackupTrajectory, Command, UavCommand, UavReport
+from bus.numbers import above, exact
 from bus.registry import LAWS
 from sim.scenario.types import Scenario
 from sim.server.assurance import Assurance
@@ -192,8 +193,8 @@ class Answers:
         if self.shortened[name] == 1:
             bound = float(self._world.vehicles[self._world.names.index(name)]["max_acceleration"])
             self._on_notice(
-                f"{name}: its command for tick {tick}, {size:.4g} m/s², exceeds its "
-                f"bound {bound:.4g} m/s² and is shortened; further ones are only counted"
+                f"{name}: its command for tick {tick}, {above(size, bound)} m/s², exceeds its "
+                f"bound {exact(bound)} m/s² and is shortened; further ones are only counted"
             )
 
     def _check_report(
