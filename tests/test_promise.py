@@ -217,6 +217,21 @@ def test_links_are_inspected_although_ticks_are_short(lossy: str) -> None:
     assert (found.assumption, found.frequency) == ("A2", Frequency.SOMETIMES)
 
 
+def test_noise_is_checked_at_the_greatest_slant_range() -> None:
+    """At 16 m above and 5 m beside the UGV it is 1.68 times the noise at the reference altitude of 10 m."""
+    declared = "certificate.max_measurement_error"
+    (found,) = shortfalls(load_scenario("town", overrides=[f"{declared}=0.3"]))
+    assert (found.assumption, found.frequency) == ("A1", Frequency.SOMETIMES)
+    assert "up to 19.3 % of the detections have a larger error" in found.what
+    assert f"try --set {declared}=0.503" in found.what
+    assert not shortfalls(load_scenario("town", overrides=[f"{declared}=0.503"]))
+    high = [f"{declared}=0.1", "uav.0.min_altitude=14"]
+    (found,) = shortfalls(load_scenario("town", overrides=high))
+    assert found.frequency == Frequency.THROUGHOUT
+    endless = load_scenario("town", overrides=[f"{declared}=0.3", "detections.truncation=inf"])
+    assert "max_measurement_error=0.503 or more" in shortfalls(endless)[0].what
+
+
 def test_longer_command_interval_admits_losses_not_blackouts() -> None:
     interval = "certificate.max_command_interval=1.0"
     assert not shortfalls(certified("links.commands.loss=0.1", interval))

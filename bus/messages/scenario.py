@@ -86,7 +86,7 @@ class Detector(Message, frozen=True, kw_only=True):
     """Properties of the UAV's detector, as the UAV knows them."""
 
     noise: NonNegative = 0.0
-    """Standard deviation of the noise per axis [m]."""
+    """Standard deviation of the noise per axis [m]; with an altitude, directly below at the initial altitude."""
     truncation: Positive | None = 3.0
     """Noise vectors are truncated at this many standard deviations [1]; None: not truncated."""
     period: Positive

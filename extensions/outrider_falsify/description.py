@@ -2,6 +2,7 @@
 
 import math
 
+from sim.engine.briefing import largest_error
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
@@ -16,12 +17,10 @@ def _start(scenario: Scenario) -> str:
 
 
 def _network(scenario: Scenario) -> str:
-    links, noise = scenario.links, scenario.detections.noise
+    links, error = scenario.links, largest_error(scenario, scenario.uav[0])
     detections, parts = links.detections, []
-    if noise:
-        parts.append(
-            f"errors of up to {noise * scenario.detections.truncation:.2f} m in the detections"
-        )
+    if error:
+        parts.append(f"errors of up to {error:.2f} m in the detections")
     if detections.delay or detections.jitter:
         parts.append(f"detections up to {detections.delay + detections.jitter:.2f} s late")
     if detections.loss:

@@ -9,8 +9,9 @@ from agents.safety.handover import check_assumptions
 from agents.safety.levels import bounds_of
 from bus.errors import ScenarioError
 from bus.messages.links import LinkSettings
+from bus.numbers import above, exact
 from bus.registry import LAWS
-from sim.engine.briefing import safety_parameters, uav_briefing
+from sim.engine.briefing import largest_error, safety_parameters, uav_briefing
 from sim.scenario.types import DEFAULT_AGE, Certificate, LinkTable, Scenario, Uav, Ugv
 
 _NEVER = 1e-9
@@ -97,7 +98,8 @@ def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
     pair(scenario)
     detections = msgspec.structs.replace(scenario.detections, noise=limits.noise, dropout=0.0)
     given = scenario.certificate
-    worst = limits.noise * scenario.detections.truncation if limits.noise else 0.0
+    noisy = msgspec.structs.replace(scenario, detections=detections)
+    worst = largest_error(noisy, scenario.uav[0])
     parameters = safety_parameters(scenario, scenario.uav[0].name)
     as_usual = given in (Certificate(), Certificate(max_measurement_age=DEFAULT_AGE))
     certificate = msgspec.structs.replace(
@@ -139,7 +141,7 @@ def beyond_declared(base: Scenario, limits: SearchLimits) -> tuple[str, ...]:
     if not LAWS[base.law.name].watched:
         return ()
     given = base.certificate
-    error = limits.noise * base.detections.truncation if limits.noise else 0.0
+    error = largest_error(base, base.uav[0])
     rows = (
         (
             "max_measurement_age",
@@ -161,7 +163,7 @@ def beyond_declared(base: Scenario, limits: SearchLimits) -> tuple[str, ...]:
         ),
     )
     return tuple(
-        f"certificate.{name} = {bound:g} {unit}: below the search limit of {most:g} {unit}; "
+        f"certificate.{name} = {exact(bound)} {unit}: below the search limit of {above(most, bound)} {unit}; "
         "runs beyond the declared bound break an assumption and count as uncertified"
         for name, most, bound, unit in rows
         if most > bound + 1e-9

@@ -12,6 +12,7 @@ from bus.ticks import ticks_within
 from outrider_networks.kinds import commands_run, detections_run
 from outrider_networks.link_runs import LinkRun, Probability
 from sim.channel.recorded import RecordedLink
+from sim.models.detection import error_share
 
 
 class Smallest(NamedTuple):
@@ -158,10 +159,7 @@ def error_exceedance(sigma: float, cut: float, count: int, error: float) -> Prob
         count: Number of errors.
         error: Bound on the norm [m].
     """
-    if sigma == 0.0 or error >= sigma * cut * (1.0 - 1e-9):
-        return Probability(0.0, "")
-    beyond = math.exp(-0.5 * cut * cut)
-    larger = (math.exp(-0.5 * (error / sigma) ** 2) - beyond) / (1.0 - beyond)
+    larger = error_share(sigma, cut, error)
     if larger >= 1.0:
         return Probability(1.0, "")
     return Probability(-math.expm1(count * math.log1p(-larger)), "")

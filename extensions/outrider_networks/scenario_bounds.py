@@ -21,9 +21,9 @@ from outrider_networks.probabilities import (
     smallest_command_interval,
     smallest_error,
 )
-from sim.engine.briefing import command_delay, safety_parameters
+from sim.engine.briefing import command_delay, largest_noise, safety_parameters
 from sim.input.faults import Fault
-from sim.scenario.types import Scenario
+from sim.scenario.types import Scenario, Uav
 
 NEARLY_CERTAIN = 0.999
 """Probability within a run above which text calls it certain."""
@@ -72,8 +72,9 @@ def exceedance(scenario: Scenario) -> Exceedance:
             **_commands(scenario, name), max_command_interval=bounds.max_command_interval
         )
         if bounds.max_measurement_error is not None:
-            error = error_exceedance(*_errors(scenario), bounds.max_measurement_error)
-            found[f"{name}/max_measurement_error"] = error
+            error = error_exceedance(*_errors(scenario, uav), bounds.max_measurement_error)
+            why = "" if error.value == 0.0 else _largest_noise_note(uav)
+            found[f"{name}/max_measurement_error"] = error._replace(why=why)
     values = {name: one.value for name, one in found.items()}
     known = [value for value in values.values() if value is not None]
     certain = len(known) == len(values) and all(one.by_chance for one in shortfalls(scenario))
@@ -98,8 +99,8 @@ def bounds_for(scenario: Scenario, risk: float) -> Bounds:
         raise ScenarioError(
             f"{scenario.name}: uav = []: no UAV to compute bounds for; allowed: one or more"
         )
-    sigma, truncation, count = _errors(scenario)
-    untruncated = sigma > 0.0 and math.isinf(truncation)
+    noisy = scenario.detections.noise > 0.0
+    untruncated = noisy and math.isinf(scenario.detections.truncation)
     share = risk / ((3 if untruncated else 2) * len(scenario.uav))
     values: dict[str, float] = {}
     notes: list[str] = []
@@ -115,9 +116,13 @@ def bounds_for(scenario: Scenario, risk: float) -> Bounds:
             values[field] = max(values.get(field, scenario.dt), value)
             notes += [f"{uav.name}/{name}: {found.why}"] if found.why else []
     if untruncated:
-        values["certificate.max_measurement_error"] = smallest_error(
-            sigma, truncation, count, share
-        )
+        errors = [smallest_error(*_errors(scenario, uav), share) for uav in scenario.uav]
+        values["certificate.max_measurement_error"] = max(errors)
+        notes += [
+            f"{uav.name}/max_measurement_error: {note}"
+            for uav in scenario.uav
+            if (note := _largest_noise_note(uav))
+        ]
     return Bounds(scenario=scenario.name, risk=risk, set=values, notes=notes)
 
 
@@ -163,10 +168,17 @@ def _commands(scenario: Scenario, uav: str) -> dict[str, Any]:
     }
 
 
-def _errors(scenario: Scenario) -> tuple[float, float, int]:
-    """Return standard deviation [m], truncation and number of a run's detections."""
+def _errors(scenario: Scenario, uav: Uav) -> tuple[float, float, int]:
+    """Return largest standard deviation [m], truncation and number of a UAV's detections in a run."""
     count = -(-scenario.ticks // scenario.detection_period)
-    return scenario.detections.noise, scenario.detections.truncation, count
+    return largest_noise(scenario, uav), scenario.detections.truncation, count
+
+
+def _largest_noise_note(uav: Uav) -> str:
+    """Return why a bound of the error is larger than needed; empty in the plane."""
+    if uav.initial_altitude is None:
+        return ""
+    return "noise grows with the slant range, and the largest is assumed for all detections"
 
 
 def in_runs(probability: float) -> str:

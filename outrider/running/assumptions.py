@@ -15,6 +15,7 @@ import msgspec
 from agents.safety.handover import check_assumptions
 from agents.safety.levels import bounds_of
 from bus.messages.links import LinkKind
+from bus.numbers import above, exact
 from bus.registry import LAWS
 from bus.ticks import TICK_TOLERANCE
 from outrider.running.altitude_assumptions import altitude_fault
@@ -32,9 +33,11 @@ from outrider.running.link_assumptions import (
 from sim.engine.briefing import (
     largest_tracking_error,
     monitored_bounds,
+    noise_range,
     safety_parameters,
     uav_briefing,
 )
+from sim.models.detection import error_share
 from sim.models.safety import SafetyBounds
 from sim.scenario.types import LinkTable, Scenario, Uav
 
@@ -153,7 +156,7 @@ def _findings(
 ) -> Iterator[tuple[str, Finding]]:
     """Yield each broken assumption of a UAV, with its number."""
     if math.isfinite(bounds.placed_error):
-        for finding in _measurement_errors(scenario, bounds.max_measurement_error):
+        for finding in _measurement_errors(scenario, uav, bounds.max_measurement_error):
             yield "A1", finding
         for finding in _tracking_errors(scenario, uav, bounds):
             yield "A6'", finding
@@ -168,11 +171,11 @@ def _findings(
 def _declared(bounds: SafetyBounds, field: str) -> str:
     """Return a declared bound as the scenario writes it."""
     values = {
-        "max_measurement_error": f"{bounds.max_measurement_error:g} m",
-        "max_tracking_error": f"{bounds.max_tracking_error:g} m",
-        "max_measurement_age": f"{bounds.max_measurement_age:g} s",
-        "max_command_delay": f"{bounds.delay_ticks * bounds.dt:g} s",
-        "max_command_interval": f"{bounds.interval_ticks * bounds.dt:g} s",
+        "max_measurement_error": f"{exact(bounds.max_measurement_error)} m",
+        "max_tracking_error": f"{exact(bounds.max_tracking_error)} m",
+        "max_measurement_age": f"{exact(bounds.max_measurement_age)} s",
+        "max_command_delay": f"{bounds.delay_ticks * bounds.dt:.9g} s",
+        "max_command_interval": f"{bounds.interval_ticks * bounds.dt:.9g} s",
     }
     return f"certificate.{field} = {values[field]}"
 
@@ -192,10 +195,10 @@ def _remedy(
             last = value
             continue
         if check_assumptions(bounds_of(uav_briefing(tried, uav.name, tried.seed))):
-            cause = f"{field} = {value:g} would cover this, but allows no certificate"
+            cause = f"{field} = {exact(value)} would cover this, but allows no certificate"
             return f"{cause}; improve the link, the detector or the UAV"
-        return f"try --set {field}={value:g}"
-    return f"no {field} up to {last:g} covers this; improve the link or the detector"
+        return f"try --set {field}={exact(value)}"
+    return f"no {field} up to {exact(last)} covers this; improve the link or the detector"
 
 
 def _longer_times(scenario: Scenario, uav: Uav, field: str) -> Iterable[float]:
@@ -204,41 +207,34 @@ def _longer_times(scenario: Scenario, uav: Uav, field: str) -> Iterable[float]:
     return [time for time in _TIMES if time > declared * (1.0 + TICK_TOLERANCE)]
 
 
-def _measurement_errors(scenario: Scenario, bound: float) -> Iterator[Finding]:
-    """Find detections whose error exceeds the bound [m].
-
-    Noise is normal on each axis, so its norm exceeds x with probability exp(-x²/(2 sigma²)) before truncation.
-    """
-    sigma, cut = scenario.detections.noise, scenario.detections.truncation
-    if sigma == 0.0 or bound >= sigma * cut * (1.0 - TICK_TOLERANCE):
-        return
-    beyond = math.exp(-0.5 * cut * cut)
-    share = (math.exp(-0.5 * (bound / sigma) ** 2) - beyond) / (1.0 - beyond)
+def _measurement_errors(scenario: Scenario, uav: Uav, bound: float) -> Iterator[Finding]:
+    """Find detections whose error exceeds the bound [m], for the largest noise of the UAV."""
+    (least, most), cut = noise_range(scenario, uav), scenario.detections.truncation
+    share = error_share(most, cut, bound)
     if share * scenario.ticks / scenario.detection_period <= RARE:
         return
-    cause = (
-        f"detections.noise = {sigma:g} m: {percent(share)} of the detections have a larger error"
-    )
+    noise, up_to = f"detections.noise = {exact(scenario.detections.noise)} m", ""
+    if most > least:
+        limits = "sensor.range and max_altitude"
+        noise, up_to = f"{noise}, which grows to {most:.3g} m at {limits}", "up to "
+    cause = f"{noise}: {up_to}{percent(share)} of the detections have a larger error"
+    frequency, field = frequency_of(error_share(least, cut, bound)), "max_measurement_error"
     if math.isinf(cut):
-        yield Finding(
-            frequency_of(share),
-            f"detections.truncation = inf, {cause}",
-            "max_measurement_error",
-            remedy=f"try --set detections.truncation=3 and certificate.max_measurement_error={3.0 * sigma:g} or more",
-        )
+        error = exact(_rounded_up(3.0 * most))
+        remedy = f"try --set detections.truncation=3 and certificate.{field}={error} or more"
+        yield Finding(frequency, f"detections.truncation = inf, {cause}", field, remedy=remedy)
         return
-    yield Finding(
-        frequency_of(share), cause, "max_measurement_error", values=(_rounded_up(sigma * cut),)
-    )
+    yield Finding(frequency, cause, field, values=(_rounded_up(most * cut),))
 
 
 def _tracking_errors(scenario: Scenario, uav: Uav, bounds: SafetyBounds) -> Iterator[Finding]:
     """Find a tracking error that wind and position error allow beyond the bound."""
     largest = largest_tracking_error(scenario, uav)
     if largest > bounds.max_tracking_error * (1.0 + TICK_TOLERANCE):
+        shown = above(largest, bounds.max_tracking_error, 3)
         yield Finding(
             Frequency.SOMETIMES,
-            f"wind and uav.position_error allow a tracking error of {largest:.3g} m",
+            f"wind and uav.position_error allow a tracking error of {shown} m",
             "max_tracking_error",
             values=(_rounded_up(largest),),
         )

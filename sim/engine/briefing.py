@@ -27,17 +27,31 @@ def limits(vehicle: Uav | Ugv) -> Limits:
     )
 
 
-def _error(scenario: Scenario, uav: Uav) -> float | None:
-    """Return the largest error of a detection [m]; None: unbounded.
+def noise_range(scenario: Scenario, uav: Uav) -> tuple[float, float]:
+    """Return the smallest and the largest standard deviation of a UAV's detections per axis [m].
 
-    With an altitude, the noise is largest at the highest altitude and the farthest detection.
+    With an altitude, noise grows with the slant range: it is smallest at the lowest altitude directly above the UGV,
+    and largest at the highest altitude and the farthest detection.
     """
     noise, limits = scenario.detections.noise, altitude_limits(scenario, uav)
-    if noise > 0.0 and limits is not None:
-        reach = scenario.sensor.range
-        reference = scenario.camera.reference_altitude
-        noise = noise_at(noise, reference, reach, limits.max_altitude)
-    return or_none(noise * scenario.detections.truncation) if noise > 0.0 else 0.0
+    if limits is None:
+        return noise, noise
+    reference, reach = scenario.camera.reference_altitude, scenario.sensor.range
+    return (
+        float(noise_at(noise, reference, 0.0, limits.min_altitude)),
+        float(noise_at(noise, reference, reach, limits.max_altitude)),
+    )
+
+
+def largest_noise(scenario: Scenario, uav: Uav) -> float:
+    """Return the largest standard deviation of a UAV's detections per axis, at any altitude and distance [m]."""
+    return noise_range(scenario, uav)[1]
+
+
+def largest_error(scenario: Scenario, uav: Uav) -> float:
+    """Return the largest error of a UAV's detections, as a vector norm [m]; infinite: unbounded."""
+    noise = largest_noise(scenario, uav)
+    return noise * scenario.detections.truncation if noise > 0.0 else 0.0
 
 
 def detector_noise(scenario: Scenario, uav: Uav) -> float:
@@ -105,7 +119,7 @@ def safety_parameters(scenario: Scenario, uav: str) -> SafetyParameters:
     return SafetyParameters(
         max_measurement_error=given.max_measurement_error
         if given.max_measurement_error is not None
-        else _error(scenario, vehicle),
+        else or_none(largest_error(scenario, vehicle)),
         max_measurement_age=given.max_measurement_age or DEFAULT_AGE,
         max_command_delay=command_delay(scenario, uav),
         max_command_interval=scenario.dt

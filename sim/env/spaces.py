@@ -7,6 +7,7 @@ import numpy as np
 from gymnasium import spaces
 
 from bus.observations import ROUNDING, largest
+from sim.engine.briefing import largest_error
 from sim.scenario.types import Scenario, Uav, Ugv, altitude_limits
 
 FREE_ACCELERATION = 10.0
@@ -15,14 +16,10 @@ FREE_ACCELERATION = 10.0
 
 def extent_of(scenario: Scenario, vehicle: Uav | Ugv) -> dict[str, float]:
     """Return the values of `bus.observations.SYMBOLS` for one vehicle."""
-    area, noise, most = (
-        scenario.area,
-        scenario.detections.noise,
-        largest(scenario.area, scenario.dt),
-    )
-    sight = max(scenario.sensor.range, scenario.visibility.radius) + (
-        noise * scenario.detections.truncation if noise > 0.0 else 0.0
-    )
+    area, most = scenario.area, largest(scenario.area, scenario.dt)
+    uavs = [vehicle] if isinstance(vehicle, Uav) else scenario.uav
+    errors = [largest_error(scenario, uav) for uav in uavs]
+    sight = max(scenario.sensor.range, scenario.visibility.radius) + max(errors, default=0.0)
     own = altitude_limits(scenario, vehicle) if isinstance(vehicle, Uav) else None
     return most | {
         "T": scenario.ticks * scenario.dt,

@@ -13,6 +13,9 @@ from sim.models.randomness import (
 )
 from sim.models.vehicles import norm
 
+_TRUNCATION_TOLERANCE = 1e-6
+"""Relative tolerance for rounding when an error is compared with the largest one."""
+
 
 @compiled
 def detection_chance(distance: float, r_v: float, reach: float, dropout: float) -> float:
@@ -64,3 +67,19 @@ def detect(
         return True, p_delta_x, p_delta_y
     n_x, n_y = cut_normal_vector(sigma, cut, noise_key, DETECTION_NOISE, tick, FIRST)
     return True, p_delta_x + n_x, p_delta_y + n_y
+
+
+def error_share(sigma: float, cut: float, error: float) -> float:
+    r"""Return the share of detections whose error is larger, as a vector norm.
+
+    The norm of a normal vector exceeds $\epsilon$ with the probability $\exp(-\epsilon^2 / (2 \sigma^2))$.
+
+    Args:
+        sigma: Standard deviation of the noise per axis [m].
+        cut: Truncation of the norm, in standard deviations; infinite: not truncated.
+        error: Error [m].
+    """
+    if sigma == 0.0 or error >= sigma * cut * (1.0 - _TRUNCATION_TOLERANCE):
+        return 0.0
+    beyond = math.exp(-0.5 * cut * cut)
+    return (math.exp(-0.5 * (error / sigma) ** 2) - beyond) / (1.0 - beyond)

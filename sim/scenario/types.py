@@ -53,7 +53,9 @@ class Detections(Table, frozen=True, kw_only=True):
     """Detector of the UGV: always succeeds within r_v, less often beyond, never beyond the sensor's range."""
 
     noise: NonNegative = 0.0
-    """Standard deviation of the noise per axis [m]."""
+    """Standard deviation of the noise per axis [m]; with an altitude, it grows with the slant range, and this is the
+    value directly below the UAV at `camera.reference_altitude`.
+    """
     truncation: Bound = 3.0
     """Truncation of the noise vector's norm, in standard deviations [1]; inf: not truncated."""
     rate: Positive = 20.0
@@ -162,7 +164,7 @@ class Certificate(Table, frozen=True, kw_only=True):
     """Bounds declared to the UAVs' safety filters. Ticks at which the network exceeds them are not certified."""
 
     max_measurement_error: NonNegative | None = None
-    """Largest measurement error [m]; default: the noise at its truncation, unbounded without one."""
+    """Largest measurement error [m]; default: the largest noise at its truncation, unbounded without one."""
     max_measurement_age: Positive | None = None
     """Largest age of the newest measurement [s]; default: 1 s."""
     max_command_delay: NonNegative | None = None

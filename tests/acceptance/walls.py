@@ -4,7 +4,9 @@ Every town has its own buildings, altitudes, camera and network. In each of its 
 closely as it declares, rounds their corners, and turns whenever that helps it to hide; the UAV dives, flees, and puts
 buildings in between, inside the safety filter. Both know the true state. shapely judges each tick: is the UGV in range
 of the camera and not behind a building? Counted are certified ticks without sight, ticks at which the filter gives up
-a certificate although all assumptions hold, and UAVs in a building. Exit code 1 if any count is not zero.
+a certificate although all assumptions hold, UAVs in a building, and runs with a detection whose error exceeds the
+declared bound at some altitude. Exit code 1 if any count is not zero. In half of the towns the noise is not truncated
+and the bound is that of `outrider network bounds` for a risk of 1 %: at most this share of their runs may exceed it.
 
     python tests/acceptance/walls.py --runs 100000          about half an hour on two cores
     python tests/acceptance/walls.py --runs 640 --seed 7     other towns
@@ -30,6 +32,7 @@ from shapely import affinity, ops
 from agents.safety.decision import CERTIFIED
 from agents.safety.levels import lowest_certified
 from outrider.envs.closed_loop import ClosedLoop
+from outrider_networks.scenario_bounds import bounds_for
 from sim.engine.briefing import uav_briefing
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
@@ -50,8 +53,11 @@ AGILE = 0.5
 """Maximum acceleration of the UGV [m/s²]."""
 HIGHEST = 25.0
 """Maximum altitude [m]."""
-COUNTS = ("certified out of sight", "certificate broken", "contacts")
+COUNTS = ("certified out of sight", "certificate broken", "contacts", "errors beyond the bound")
 """Counts that must be zero."""
+UNTRUNCATED, EXCEEDED = "runs with untruncated noise", "of these beyond the bound for a risk of 1 %"
+RISK, SIGMAS = 0.01, 4.0
+"""Share of the latter, and its tolerance in standard deviations."""
 
 
 # -- towns
@@ -118,6 +124,13 @@ def rings(shapes: list[Any], clearance: float) -> list[Any]:
     return [ring for ring in found if ring.length > 4.0 and inside.contains(ring)]
 
 
+def risked_error(changes: list[str]) -> float:
+    """Return the error that a run of 'town' with these changes exceeds with the probability RISK [m]."""
+    scenario = load_scenario("town", overrides=[*changes, f"uav.0.initial_altitude={HIGHEST}"])
+    # the risk is shared with the bounds of age and command interval
+    return bounds_for(scenario, 3.0 * RISK).set["certificate.max_measurement_error"]
+
+
 def scenario_of(rng: np.random.Generator) -> tuple[Scenario, list[Any], list[float], Any] | None:
     """Return a scenario, its buildings, their heights, and the way of the UGV; None if this town has no way."""
     shapes, heights = town(rng)
@@ -167,11 +180,14 @@ def scenario_of(rng: np.random.Generator) -> tuple[Scenario, list[Any], list[flo
     if loss or delay:
         changes.append(f"links.only=[{{vehicle='uav_0', {only}}}]")
         changes.append(f"certificate.max_command_interval={2.0 if loss else 0.05}")
+    if rng.spawn(1)[0].random() < 0.5:
+        changes += ["detections.truncation=inf"]
+        changes += [f"certificate.max_measurement_error={risked_error(changes)!r}"]
     high = load_scenario("town", overrides=[*changes, f"uav.0.initial_altitude={HIGHEST}"])
     floor = lowest_certified(uav_briefing(high, "uav_0", 0))
     if floor is None:
         return None
-    above = min(rng.choice([0.0, 0.01, 1.0, 5.0]), HIGHEST - floor)
+    above = min(rng.choice([0.0, 0.01, 1.0, HIGHEST]), HIGHEST - floor)
     start = load_scenario("town", overrides=[*changes, f"uav.0.initial_altitude={floor + above}"])
     return start, shapes, heights, way
 
@@ -318,12 +334,16 @@ def attack(seed: int, filtered: bool = True) -> Counter[str]:
     way, pilot = Way(ring, scenario.ugv[0].max_speed, scenario.dt, rng), Pilot(shapes, rng)
     counts = Counter(runs=WORLDS, towns=1)
     clear, broken = np.ones(WORLDS, dtype=bool), np.zeros(WORLDS)
-    lost, wrong = np.zeros(WORLDS, dtype=bool), np.zeros(WORLDS, dtype=bool)
+    lost, wrong, exceeded = np.zeros((3, WORLDS), dtype=bool)
+    bound, largest = uav_briefing(scenario, "uav_0", 0).safety.max_measurement_error, 0.0
     for _ in range(round(SECONDS / scenario.dt)):
         (uav, ugv), z = (
             vehicles["position"].swapaxes(0, 1).copy(),
             vehicles["vertical"]["altitude"][:, 0].copy(),
         )
+        error = np.linalg.norm(vehicles["detection"][:, 0] - (uav - ugv), axis=-1)  # NaN: none
+        exceeded |= error > bound + 1e-9
+        largest = max(largest, float(np.nanmax(error, initial=0.0)))
         seen = judge.sees(uav, z, ugv)
         clear &= judge.is_clear(ugv)
         velocity = vehicles["reference_velocity"]
@@ -344,6 +364,12 @@ def attack(seed: int, filtered: bool = True) -> Counter[str]:
         counts["ticks behind a building"] += int(judge.hidden(uav, z, ugv).sum())
     counts["certified out of sight"] += int(wrong.sum())
     counts["certificate broken"] += int((broken > 0).sum())
+    cut = scenario.detections.truncation
+    counts["errors beyond the bound" if cut < math.inf else EXCEEDED] += int(exceeded.sum())
+    counts[UNTRUNCATED] += WORLDS if cut == math.inf else 0
+    counts["towns with errors beyond the noise at 10 m"] += (
+        largest > cut * scenario.detections.noise
+    )
     counts["contacts"] += int(vehicles["vertical"]["contacts"].sum())
     counts["runs that lose sight"] += int(lost.sum())
     counts["runs that break the clearance"] += int((~clear).sum())
@@ -393,7 +419,9 @@ def main() -> int:
                 print(f"{total['runs']:,} runs in {shown - began:.0f} s", flush=True)
     for name in (*COUNTS, *(name for name in sorted(total) if name not in COUNTS)):
         print(f"{total[name]:12,}  {name}")
-    return 1 if any(total[name] for name in COUNTS) else 0
+    expected = RISK * total[UNTRUNCATED]
+    unlikely = total[EXCEEDED] > expected + SIGMAS * math.sqrt(expected)
+    return 1 if unlikely or any(total[name] for name in COUNTS) else 0
 
 
 if __name__ == "__main__":

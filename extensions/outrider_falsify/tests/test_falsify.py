@@ -101,6 +101,13 @@ def test_the_certified_law_stands_within_its_limits() -> None:
     assert result.worst > 4.0
 
 
+def test_declared_error_covers_noise_at_the_greatest_slant_range() -> None:
+    base = base_of(load_scenario("town"), SearchLimits(noise=0.05))
+    largest = 3.0 * 0.05 * math.hypot(16.0, 5.0) / 10.0
+    assert base.certificate.max_measurement_error == pytest.approx(largest)
+    assert beyond_declared(base, SearchLimits(noise=0.05)) == ()
+
+
 BROKEN = {
     "max_measurement_age": (
         SearchLimits(delay=1.0, blackout=5.0),

@@ -403,6 +403,21 @@ def test_with_the_bounds_of_a_risk_a_run_meets_it() -> None:
     assert chances.loss_probability == sum(chances.exceedance_probability.values())
 
 
+def test_errors_are_bounded_for_the_noise_at_the_greatest_slant_range() -> None:
+    changes = ["detections.truncation=inf", "uav.0.max_altitude=20"]
+    town = load_scenario("town", overrides=changes)
+    found = bounds_for(town, 3e-3)
+    largest = 0.1 * math.hypot(20.0, 5.0) / 10.0
+    bound = found.set["certificate.max_measurement_error"]
+    assert bound == pytest.approx(smallest_error(largest, math.inf, town.ticks, 1e-3))
+    assert any("slant range" in note for note in found.notes)
+    declared = load_scenario(
+        "town", overrides=[*changes, f"certificate.max_measurement_error={bound!r}"]
+    )
+    chance = exceedance(declared).exceedance_probability["uav_0/max_measurement_error"]
+    assert chance == pytest.approx(1e-3)
+
+
 def test_a_risk_that_no_bound_meets_is_refused() -> None:
     slow = scenario("links.detections.bandwidth=15.0", "links.detections.queue=1")
     with pytest.raises(ScenarioError, match=r"--risk = 0.001: .* links.detections of uav_0"):
