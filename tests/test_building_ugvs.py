@@ -21,6 +21,7 @@ from sim.engine.briefing import briefing
 from sim.models.ground import CLEAR, UNSEEN, add_polygon
 from sim.models.hazards import BLOCK
 from sim.scenario.checks import check_scenario, scenario_warnings
+from sim.scenario.clearance import guaranteed_clearance
 from sim.scenario.ground_types import HazardField
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Ground, Scenario, Uav, Ugv
@@ -225,6 +226,21 @@ def test_clearance_is_warned_of_unless_it_is_kept() -> None:
         assert warned(**changes)
     assert warned(**unknown, **{"ground.miss": 0.1})
     assert warned(**unknown, **{"ground.false_alarm": 0.1})
+
+
+def test_clearance_from_mapped_buildings_is_not_ensured_with_misses() -> None:
+    """If buildings are the only hazards, the map is complete: there is nothing to miss."""
+    mines = HazardField(kind="block", count=30, radius=(0.2, 0.4))
+    for hazard_field, miss, ensured in (
+        ((), 0.1, True),
+        ((mines,), 0.0, True),
+        ((mines,), 0.1, False),
+    ):
+        town = load_scenario("town", overrides={"ground.miss": miss})
+        one = check_scenario(msgspec.structs.replace(town, hazard_field=hazard_field))
+        warned = any("not ensured (A9)" in x for x in scenario_warnings(one))
+        assert warned != ensured
+        assert (guaranteed_clearance(one, one.ugv[0]) > 0.0) == ensured
 
 
 def test_a_ugv_that_may_wait_beside_an_unknown_building_is_warned_of() -> None:

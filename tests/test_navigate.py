@@ -32,7 +32,7 @@ from agents.drivers.planning import (
     next_tile,
     start_search,
 )
-from agents.drivers.tile_map import occupancy_grid, record_block, record_tiles
+from agents.drivers.tile_map import MAPPED, occupancy_grid, record_block, record_tiles
 from bus.messages.ground import UgvGround
 from bus.messages.scenario import Area, Limits
 from flights import ugv_briefing
@@ -271,12 +271,13 @@ def test_late_commands_keep_it_slow_before_rough_ground() -> None:
 def test_ugv_leaves_its_blocked_tile_and_enters_none() -> None:
     tiles = np.full((8, 8), CLEAR, np.uint8)
     tiles[2, 2] = tiles[2, 3] = BLOCK
-    here = Motion(2.5, 2.5, 0.0, 0.0)
-    ground = open_from(tiles, 1.0, 0, here.p_x, here.p_y)
+    here, memory = Motion(2.5, 2.5, 0.0, 0.0), occupancy_grid(8, 8)
+    memory.tiles[:] = tiles
+    ground = open_from(memory, 1.0, 0, here.p_x, here.p_y)
     fast = _on_tiles(max_speed=20.0, max_acceleration=50.0)
     assert is_safe(fast, False, tiles, ground, here, 0.0, 50.0)
     assert not is_safe(fast, False, tiles, ground, here._replace(v_x=4.9), 50.0, 0.0)
-    assert open_from(tiles, 1.0, 1, 0.5, 0.5) == open_to(1)
+    assert open_from(memory, 1.0, 1, 0.5, 0.5) == open_to(1)
 
 
 # under attack
@@ -391,6 +392,17 @@ def test_ugv_among_blocked_tiles_takes_the_nearest_exit() -> None:
     memory.tiles[2:8, 2:8] = BLOCK
     track = _drive(p, memory, GOAL, 600, (3.3, 2.6))
     assert track[:, 0].min() > 3.2
+    assert track[-1, 0] == pytest.approx(18.0, abs=0.01)
+
+
+def test_ugv_leaves_blocked_tiles_around_a_mapped_building() -> None:
+    """The nearest exit is behind the building."""
+    p, memory = _parameters(), _ground()
+    memory.tiles[4:9, 8:16] = BLOCK
+    memory.measured[4:6, 8:16] = MAPPED
+    track = _drive(p, memory, GOAL, 800, (6.2, 3.05))
+    over = (track[:, 0] > 4.0) & (track[:, 0] < 8.0)
+    assert track[over, 1].min() > 3.0
     assert track[-1, 0] == pytest.approx(18.0, abs=0.01)
 
 

@@ -10,10 +10,14 @@ from typing import NamedTuple
 
 from agents.drivers.navigate_parameters import NavigateParameters
 from agents.drivers.planning import is_beside_block
+from agents.drivers.tile_map import MAPPED, OccupancyGrid
 from sim.compiling.compile import compiled
 from sim.models.ground import UNSEEN, TileArray, edge_within, span, tile_index
 from sim.models.hazards import BLOCK, ROUGH, TOUCH
 from sim.models.vehicles import Motion, norm, step_vehicle
+
+_EXIT_RINGS = 16
+"""Largest distance of an exit from blocked tiles [tiles], to bound the search."""
 
 
 class Open(NamedTuple):
@@ -29,7 +33,10 @@ class Open(NamedTuple):
     column: int
     end_row: int
     end_column: int
-    """Range of blocked tiles that count as open, end exclusive, so that a UGV standing on such tiles can leave them."""
+    """Range of blocked tiles that count as open, end exclusive, so that a UGV standing on such tiles can leave them.
+
+    It contains tiles blocked by the map of buildings only if the UGV stands on one.
+    """
     touch: float
     """Distance below which a tile counts as touched [m]: `TOUCH`, or less to recheck an earlier decision."""
 
@@ -209,51 +216,97 @@ def is_safe(
     return segment_is_open(tiles, tile, even, (x, y), there)
 
 
+class _Range(NamedTuple):
+    """Rectangle of tiles, end exclusive."""
+
+    row: int
+    column: int
+    end_row: int
+    end_column: int
+
+
 @compiled
-def nearest_open(tiles: TileArray, tile: float, bold: int, x: float, y: float) -> tuple[int, int]:
+def _touched(memory: OccupancyGrid, tile: float, x: float, y: float) -> _Range:
+    """Return the tiles that a UGV at a point touches."""
+    rows, columns = memory.tiles.shape
+    row, end_row = span(y - TOUCH, y + TOUCH, tile, rows)
+    column, end_column = span(x - TOUCH, x + TOUCH, tile, columns)
+    return _Range(row, column, end_row, end_column)
+
+
+@compiled
+def _extended(tiles: _Range, i: int, j: int) -> _Range:
+    """Return a range extended to a tile."""
+    return _Range(
+        min(tiles.row, i),
+        min(tiles.column, j),
+        max(tiles.end_row, i + 1),
+        max(tiles.end_column, j + 1),
+    )
+
+
+@compiled
+def _is_mapped(memory: OccupancyGrid, tiles: _Range) -> bool:
+    """Return whether the map of buildings has blocked a tile of a range."""
+    for i in range(tiles.row, tiles.end_row):
+        for j in range(tiles.column, tiles.end_column):
+            if memory.measured[i, j] == MAPPED:
+                return True
+    return False
+
+
+@compiled
+def nearest_open(
+    memory: OccupancyGrid, tile: float, bold: int, x: float, y: float
+) -> tuple[int, int]:
     """Return row and column of the open tile nearest to a point, on the first square ring that has one.
 
+    Tiles blocked by the map of buildings are no way out, unless the point itself touches one: no report was wrong
+    about them.
+
     Args:
-        tiles: Occupancy grid. Shape (rows, columns).
+        memory: Occupancy grid of the UGV.
         tile: Side of a tile [m].
         bold: 1 if unseen tiles are open.
         x, y: Point [m].
 
     Returns:
-        The tile of the point itself if no other is open.
+        The tile of the point itself if no other is open within `_EXIT_RINGS`.
     """
-    rows, columns = tiles.shape
+    rows, columns = memory.tiles.shape
     i, j = tile_index(y, tile, rows), tile_index(x, tile, columns)
+    here = _touched(memory, tile, x, y)
+    on_map = _is_mapped(memory, here)
     ground, row, column, least = open_to(bold), i, j, math.inf
-    for ring in range(1, max(rows, columns)):
+    for ring in range(1, min(max(rows, columns), _EXIT_RINGS + 1)):
         for r in range(max(i - ring, 0), min(i + ring + 1, rows)):
             for c in range(max(j - ring, 0), min(j + ring + 1, columns)):
-                if max(abs(r - i), abs(c - j)) == ring and _is_open(tiles, ground, r, c):
-                    away = norm((c + 0.5) * tile - x, (r + 0.5) * tile - y)
-                    if away < least:
-                        row, column, least = r, c, away
+                if max(abs(r - i), abs(c - j)) != ring or not _is_open(memory.tiles, ground, r, c):
+                    continue
+                away = norm((c + 0.5) * tile - x, (r + 0.5) * tile - y)
+                if away < least and (on_map or not _is_mapped(memory, _extended(here, r, c))):
+                    row, column, least = r, c, away
         if least < math.inf:
             break
     return row, column
 
 
 @compiled
-def open_from(tiles: TileArray, tile: float, bold: int, x: float, y: float) -> Open:
+def open_from(memory: OccupancyGrid, tile: float, bold: int, x: float, y: float) -> Open:
     """Return the open tiles for a UGV at a point; on blocked tiles, these and its exit count as open.
 
-    The UGV stands on blocked tiles only if a report was wrong, if it is bold, or if it started there.
+    The UGV stands on blocked tiles only if a report was wrong, if it is bold, or if it started or was driven there.
+    Arguments as in `nearest_open`.
     """
-    rows, columns = tiles.shape
-    row, end_row = span(y - TOUCH, y + TOUCH, tile, rows)
-    column, end_column = span(x - TOUCH, x + TOUCH, tile, columns)
+    here = _touched(memory, tile, x, y)
     blocked = False
-    for i in range(row, end_row):
-        for j in range(column, end_column):
-            blocked = blocked or tiles[i, j] == BLOCK
+    for i in range(here.row, here.end_row):
+        for j in range(here.column, here.end_column):
+            blocked = blocked or memory.tiles[i, j] == BLOCK
     if not blocked:
         return open_to(bold)
-    if tiles[tile_index(y, tile, rows), tile_index(x, tile, columns)] == BLOCK:
-        i, j = nearest_open(tiles, tile, bold, x, y)
-        row, end_row = min(row, i), max(end_row, i + 1)
-        column, end_column = min(column, j), max(end_column, j + 1)
-    return Open(bold, 1, 1, row, column, end_row, end_column, TOUCH)
+    rows, columns = memory.tiles.shape
+    if memory.tiles[tile_index(y, tile, rows), tile_index(x, tile, columns)] == BLOCK:
+        i, j = nearest_open(memory, tile, bold, x, y)
+        here = _extended(here, i, j)
+    return Open(bold, 1, 1, here.row, here.column, here.end_row, here.end_column, TOUCH)

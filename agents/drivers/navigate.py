@@ -184,7 +184,7 @@ def drive_towards(
         to_x, to_y: Point [m].
     """
     late = memory.sent.shape[0] > 2
-    ground = open_from(memory.tiles, parameters.tile, parameters.bold, here.p_x, here.p_y)
+    ground = open_from(memory, parameters.tile, parameters.bold, here.p_x, here.p_y)
     speed = _rough_speed(parameters, memory, here, to_x, to_y)
     d_x, d_y = to_x - here.p_x, to_y - here.p_y
     u_x, u_y = goal_control(here, to_x, to_y, speed, parameters.max_acceleration, parameters.dt)
@@ -261,7 +261,7 @@ def navigate_control(
         own = _tile_of(parameters, memory, here.p_x, here.p_y)
         columns = memory.tiles.shape[1]
         if memory.tiles[own // columns, own % columns] == BLOCK:
-            i, j = nearest_open(memory.tiles, parameters.tile, parameters.bold, here.p_x, here.p_y)
+            i, j = nearest_open(memory, parameters.tile, parameters.bold, here.p_x, here.p_y)
             to_x, to_y = _centre(i * columns + j, columns, parameters.tile)
             u_x, u_y = drive_towards(parameters, memory, here, to_x, to_y)
         else:

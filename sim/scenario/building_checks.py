@@ -199,7 +199,9 @@ def building_warnings(scenario: Scenario) -> Iterator[str]:
     for k, ugv in enumerate(scenario.ugv):
         fault = clearance_fault(scenario, ugv)
         if ugv.building_clearance > 0.0 and fault:
-            yield f"ugv.{k}.building_clearance = {exact(ugv.building_clearance)}: not ensured: {fault}"
+            yield (
+                f"ugv.{k}.building_clearance = {exact(ugv.building_clearance)}: not ensured (A9): {fault}"
+            )
 
 
 BUILDING_CHECKS: tuple[Check, ...] = (

@@ -21,8 +21,9 @@ def guaranteed_clearance(scenario: Scenario, ugv: Ugv, driver: str | None = None
 def clearance_fault(scenario: Scenario, ugv: Ugv, driver: str | None = None) -> str:
     """Return why a UGV guarantees no distance from buildings; empty if it does.
 
-    The cautious driver `navigate` keeps it from known buildings. From unknown ones it does so if all reports are
-    true: a UGV beside a false alarm leaves tiles that it takes for blocked, past ground that it does not know.
+    The cautious driver `navigate` keeps it from known buildings if no hazard is missed: ground that slows the UGV
+    unexpectedly lets it leave its predicted trajectory. From unknown ones it does so if all reports are true: a UGV
+    beside a false alarm leaves tiles that it takes for blocked, past ground that it does not know.
 
     Args:
         scenario: The scenario.
@@ -40,18 +41,26 @@ def clearance_fault(scenario: Scenario, ugv: Ugv, driver: str | None = None) -> 
     if ugv.building_clearance == 0.0:
         return "building_clearance = 0"
     if scenario.buildings.known:
-        return ""
+        return "" if scenario.only_known_buildings else _miss_fault(scenario, ugv)
     if scenario.ground.false_alarm > 0.0:
         return f"ground.false_alarm = {exact(scenario.ground.false_alarm)}; allowed among unknown buildings: 0"
     return next(report_faults(scenario, ugv), "")
+
+
+def _miss_fault(scenario: Scenario, ugv: Ugv) -> str:
+    """Return why a tile with a hazard may be reported drivable; empty if none is."""
+    miss = scenario.ground.miss
+    if miss == 0.0 or not any(uav.escorts == ugv.name for uav in scenario.uav):
+        return ""
+    return f"ground.miss = {exact(miss)}: a tile with a hazard may be reported clear; allowed: 0"
 
 
 def report_faults(scenario: Scenario, ugv: Ugv) -> Iterator[str]:
     """Yield the faults of tile reports: no blocked tile may be reported drivable, and no two reports may differ."""
     ground = scenario.ground
     escorts = [uav for uav in scenario.uav if uav.escorts == ugv.name]
-    if escorts and ground.miss > 0.0:
-        yield f"ground.miss = {exact(ground.miss)}: a tile with a hazard may be reported clear; allowed: 0"
+    if missed := _miss_fault(scenario, ugv):
+        yield missed
     if len(escorts) > 1 and ground.false_alarm > 0.0:
         yield (
             f"ground.false_alarm = {exact(ground.false_alarm)}: the reports of {len(escorts)} UAVs may contradict each "
