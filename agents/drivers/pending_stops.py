@@ -1,4 +1,8 @@
-"""Pending commands of the driver `navigate`, and the certificate of the stops that follow them."""
+"""Pending commands of the driver `navigate`, and the certificate of the stops that follow them.
+
+Nothing is certified while other commands may be in effect: after a change of driver, the receiver continues the last
+command of the previous driver until it begins a trajectory of this one. The proof is in docs/explanation/ground.md.
+"""
 
 from agents.drivers.cautious import is_safe, known_open
 from agents.drivers.navigate_parameters import NavigateParameters
@@ -6,12 +10,89 @@ from agents.drivers.tile_map import OccupancyGrid
 from bus.messages.vehicle import MOST_CARRIED
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray
-from sim.models.ground import CERTIFIED, NO_CLAIM, NO_STOP, WAY_UNKNOWN
+from sim.models.ground import CERTIFIED, NO_CLAIM, NO_STOP, NOT_OWN, WAY_UNKNOWN
 from sim.models.motion import NO_MOTION, follow_on, keep_motion, motion_command
-from sim.models.vehicles import Motion, brake, step_vehicle, within_walls
+from sim.models.vehicles import Motion, brake, norm, step_vehicle, within_walls
 
 PLAIN = -2
 """Replaces the committed trajectory if the receiver executes none: commands take effect as they arrive."""
+
+_AS_PREDICTED = 1e-9
+"""Largest deviation from the predicted state that counts as none [m, m/s]."""
+
+
+@compiled
+def _step(parameters: NavigateParameters, here: Motion, u_x: float, u_y: float) -> Motion:
+    """Return the state after a tick with a command [m/s²]."""
+    p_x, p_y, v_x, v_y, _, _ = step_vehicle(
+        here.p_x,
+        here.p_y,
+        here.v_x,
+        here.v_y,
+        u_x,
+        u_y,
+        parameters.max_speed,
+        parameters.max_acceleration,
+        parameters.dt,
+    )
+    return Motion(p_x, p_y, v_x, v_y)
+
+
+@compiled
+def _is_as_predicted(
+    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, here: Motion, committed: int
+) -> bool:
+    """Return whether the UGV has moved in the previous tick as the reported trajectory implies.
+
+    Rough ground may have slowed it: its velocity may be any share of the predicted one.
+    """
+    flags, sent = memory.flags[0], memory.sent
+    before = Motion(flags.p_x, flags.p_y, flags.v_x, flags.v_y)
+    u_x, u_y = brake(before.v_x, before.v_y, parameters.max_acceleration, parameters.dt)
+    if committed == tick - 1:
+        started = sent[committed % sent.shape[0]]
+        if started.begins != committed:
+            return False
+        u_x, u_y = started.acceleration[0], started.acceleration[1]
+    due = _step(parameters, before, u_x, u_y)
+    square = due.v_x * due.v_x + due.v_y * due.v_y
+    share = 1.0
+    if square > 0.0:
+        share = min(max((due.v_x * here.v_x + due.v_y * here.v_y) / square, 0.0), 1.0)
+    v_x, v_y = share * due.v_x, share * due.v_y
+    p_x = before.p_x + 0.5 * (before.v_x + v_x) * parameters.dt
+    p_y = before.p_y + 0.5 * (before.v_y + v_y) * parameters.dt
+    off = max(norm(here.p_x - p_x, here.p_y - p_y), norm(here.v_x - v_x, here.v_y - v_y))
+    return bool(off <= _AS_PREDICTED)
+
+
+@compiled
+def _check_control(
+    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, here: Motion, committed: int
+) -> tuple[bool, bool]:
+    """Check that the UGV executes the commands of this driver only. Arguments as in `state_ahead`.
+
+    It does from the start of the run, and otherwise once it has begun a trajectory of this driver: all commands sent
+    before are then void.
+
+    Returns:
+        True if so; and True unless the UGV has left the predicted state, which only other commands explain.
+    """
+    flags, first, predicted = memory.flags[0], tick + memory.sent.shape[0] - 2, True
+    if tick == 0:
+        flags.since = NO_MOTION
+    elif flags.answered != tick - 1:
+        flags.since = first
+    else:
+        predicted = _is_as_predicted(parameters, memory, tick, here, committed)
+    if committed >= 0:
+        flags.since = max(flags.since, 0)
+    own = committed >= flags.since
+    if own and not predicted:
+        flags.since = first
+    flags.answered = tick
+    flags.p_x, flags.p_y, flags.v_x, flags.v_y = here.p_x, here.p_y, here.v_x, here.v_y
+    return own, predicted
 
 
 @compiled
@@ -21,7 +102,7 @@ def state_ahead(
     """Predict the UGV's state when this tick's command takes effect, and the trajectory committed then.
 
     The function records in `memory.flags` whether the predicted trajectory, and the stop after the loss of any command,
-    stays on tiles known to be drivable.
+    stays on tiles known to be drivable. Call it once per tick.
 
     Args:
         parameters: Parameters of the driver.
@@ -38,10 +119,11 @@ def state_ahead(
     plain = committed == PLAIN
     known, late = known_open(), rows > 2
     stop_x, stop_y = brake(here.v_x, here.v_y, parameters.max_acceleration, parameters.dt)
-    safe = is_safe(parameters, late, memory.tiles, known, here, stop_x, stop_y)
-    own = committed % rows
-    if committed >= 0 and sent[own].begins == committed:
-        ahead[0] = sent[own]
+    own, safe = _check_control(parameters, memory, tick, here, committed)
+    safe = safe and is_safe(parameters, late, memory.tiles, known, here, stop_x, stop_y)
+    row = committed % rows
+    if committed >= 0 and sent[row].begins == committed:
+        ahead[0] = sent[row]
         ahead[0].age = tick - committed
     else:
         ahead[0].begins, ahead[0].age = (NO_MOTION if plain else committed), 1
@@ -59,21 +141,12 @@ def state_ahead(
             )
             ahead[0].age += 1
         safe = safe and is_safe(parameters, late, memory.tiles, known, here, u_x, u_y)
-        p_x, p_y, v_x, v_y, _, _ = step_vehicle(
-            here.p_x,
-            here.p_y,
-            here.v_x,
-            here.v_y,
-            u_x,
-            u_y,
-            parameters.max_speed,
-            parameters.max_acceleration,
-            parameters.dt,
-        )
-        p_x, v_x = within_walls(p_x, v_x, parameters.width)
-        p_y, v_y = within_walls(p_y, v_y, parameters.height)
+        here = _step(parameters, here, u_x, u_y)
+        p_x, v_x = within_walls(here.p_x, here.v_x, parameters.width)
+        p_y, v_y = within_walls(here.p_y, here.v_y, parameters.height)
         here = Motion(p_x, p_y, v_x, v_y)
-    memory.flags[0].claim = NO_STOP if plain else CERTIFIED if safe else WAY_UNKNOWN
+    claim = CERTIFIED if safe else WAY_UNKNOWN
+    memory.flags[0].claim = NO_STOP if plain else claim if own else NOT_OWN
     return here, int(ahead[0].begins)
 
 

@@ -17,7 +17,7 @@ from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.compiling.records import RecordArray, records
 from sim.models.ground import NO_CLAIM, UNSEEN, TileArray
 from sim.models.hazards import BLOCK
-from sim.models.motion import no_motions
+from sim.models.motion import NO_MOTION, no_motions
 
 _NEVER = -1
 MEASURED, MAPPED = 1, 2
@@ -54,6 +54,15 @@ class GridFlags(NamedTuple):
     """Cost up to which the costs of a completed search are final; infinite: all are."""
     clearance: float = -1.0
     """Distance to keep from every tile that is not known to be drivable, in sides of a tile; -1: none."""
+    answered: int = _NEVER
+    """Last tick with a command; -1: none, or its command may not have been sent."""
+    since: int = _NEVER
+    """First tick of the first trajectory that shows that no other commands are in effect; -1: none ever were."""
+    p_x: float = 0.0
+    p_y: float = 0.0
+    v_x: float = 0.0
+    v_y: float = 0.0
+    """State of the UGV in the tick `answered`: position [m] and velocity [m/s]."""
 
 
 class OccupancyGrid(NamedTuple):
@@ -117,6 +126,19 @@ def occupancy_grid(
         committed=no_motions(1),
         flags=records(GridFlags, [GridFlags(clearance=clearance)]),
     )
+
+
+def forget_plan(memory: OccupancyGrid) -> None:
+    """Forget plan, commands and claims, and keep all tiles: a new driver takes over."""
+    clearance = float(memory.flags[0]["clearance"])
+    memory.flags[...] = records(GridFlags, [GridFlags(clearance=clearance)])
+    memory.sent[...] = no_motions(len(memory.sent))
+    memory.path[...] = UNSEEN
+
+
+def forget_sent(memory: OccupancyGrid) -> None:
+    """Forget the commands so far: they were not sent, or another process sent them."""
+    memory.sent["begins"], memory.flags["answered"] = NO_MOTION, _NEVER
 
 
 def _near_tiles(rows: int, columns: int, clearance: float) -> PlaceArray:

@@ -69,6 +69,7 @@ class Progress(NamedTuple):
     certified: int
     way_unknown: int
     no_stop: int
+    not_own: int
     """Ticks in which it was certified to stay on known tiles, and in which it was not, by reason."""
     untrue: int
     """1 once it received a false report of a tile as drivable, or contradictory reports."""

@@ -19,6 +19,7 @@ from sim.models.ground import (
     CERTIFIED,
     CLEAR,
     NO_STOP,
+    NOT_OWN,
     UNCERTIFIED,
     UNSEEN,
     WAY_UNKNOWN,
@@ -66,7 +67,7 @@ def record_claim(ugvs: RecordArray, ugv: int, claim: int) -> None:
     Args:
         ugvs: `Progress` of each UGV; changed. Shape (UGVs,).
         ugv: Index of the UGV.
-        claim: NO_CLAIM, CERTIFIED, WAY_UNKNOWN or NO_STOP.
+        claim: A constant of `sim.models.ground`. After NOT_OWN no certificate counts as broken: the assumptions ended.
     """
     record = ugvs[ugv]
     ended = record.claim == CERTIFIED and claim in (WAY_UNKNOWN, NO_STOP)
@@ -74,6 +75,7 @@ def record_claim(ugvs: RecordArray, ugv: int, claim: int) -> None:
     record.certified += 1 if claim == CERTIFIED else 0
     record.way_unknown += 1 if claim == WAY_UNKNOWN else 0
     record.no_stop += 1 if claim == NO_STOP else 0
+    record.not_own += 1 if claim == NOT_OWN else 0
     record.claim = claim
 
 
@@ -224,7 +226,8 @@ def record_mission(tables: BatchTables, state: BatchState, ground: GroundState, 
 
 
 def _guarantee(row: RecordArray) -> UgvGuarantee:
-    by_reason = {WAY_UNKNOWN: int(row["way_unknown"]), NO_STOP: int(row["no_stop"])}
+    fields = {WAY_UNKNOWN: "way_unknown", NO_STOP: "no_stop", NOT_OWN: "not_own"}
+    by_reason = {code: int(row[field]) for code, field in fields.items()}
     return UgvGuarantee(
         entered_unknown_tile=int(row["entered"]),
         ticks=int(row["certified"]) + sum(by_reason.values()),

@@ -25,13 +25,14 @@ True states are never UNSEEN."""
 OUTSIDE = 5
 """State outside the area, in a picture of tiles. No tile has it."""
 
-NO_CLAIM, CERTIFIED, WAY_UNKNOWN, NO_STOP = range(4)
+NO_CLAIM, CERTIFIED, WAY_UNKNOWN, NO_STOP, NOT_OWN = range(5)
 """Claims of a cautious UGV at a tick: none; it stays on tiles known to be drivable, even if commands are lost; its path
-to a stop is not known to be drivable; its commands carry no stop.
+to a stop is not known to be drivable; its commands carry no stop; it may still execute commands of another driver.
 """
 UNCERTIFIED = {
     WAY_UNKNOWN: "its path to a stop is not known to be drivable",
     NO_STOP: "its commands carry no stop",
+    NOT_OWN: "it may still execute commands of another driver or process",
 }
 """Reason why the UGV is not certified, as text."""
 
