@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Protocol
 
-from agents.drivers.compiled import CompiledDriver, NavigateDriver
+from agents.drivers.compiled import CompiledDriver, NavigateDriver, briefed_grid, update_grid
 from agents.drivers.policy import Policy, PolicyDriver
 from bus.errors import ScenarioError
 from bus.messages.vehicle import (
@@ -24,7 +24,7 @@ class Driver(Protocol):
         """Return the acceleration [m/s²] for this observation."""
 
 
-_MAKERS: dict[str, Callable[[UgvBriefing], Driver]] = usable(
+_MAKERS: dict[str, Callable[..., Driver]] = usable(
     (row for row in DRIVERS.values() if row.provided),
     lambda row: maker_of(row) if row.make else partial(CompiledDriver, name=row.name),
 )
@@ -33,7 +33,8 @@ _MAKERS: dict[str, Callable[[UgvBriefing], Driver]] = usable(
 class UgvPilot:
     """Pilot of a UGV: answers each observation with its driver's acceleration. It performs no input or output.
 
-    The driver may change during the flight; the new driver starts from the current observation.
+    The driver may change during the flight; the new driver starts from the current observation. The occupancy grid
+    belongs to the pilot: it contains all reports since the start, whatever the driver was.
 
     Args:
         briefing: Briefing of the UGV.
@@ -42,7 +43,8 @@ class UgvPilot:
         policy_name: Name of the policy in errors.
 
     Raises:
-        ScenarioError: If the briefing names an unknown driver, or a driver that needs a policy and none is given.
+        ScenarioError: If the briefing names an unknown driver, or a driver that needs a policy and none is given, or if
+            the area has too many tiles.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class UgvPilot:
     ) -> None:
         self._briefing = briefing
         self._policy, self._policy_name = policy, policy_name
+        self._grid = briefed_grid(briefing)
         self._driver = driver or self._make(briefing.driver)
 
     def _make(self, name: str) -> Driver:
@@ -63,15 +66,25 @@ class UgvPilot:
                 raise ScenarioError(
                     f"driver = {name!r}: needs a policy, given to the UGV as module:function"
                 )
-            return PolicyDriver(self._briefing, policy=self._policy, name=self._policy_name)
+            return PolicyDriver(
+                self._briefing, policy=self._policy, name=self._policy_name, grid=self._grid
+            )
         if name not in _MAKERS:
             raise ScenarioError(f"driver = {name!r}: unknown; allowed: {', '.join(_MAKERS)}")
+        if DRIVERS[name].module:
+            return _MAKERS[name](self._briefing, grid=self._grid)
         return _MAKERS[name](self._briefing)
+
+    def perceive(self, observation: UgvObservation) -> None:
+        """Update the occupancy grid and the driver, also from an observation that is too late to answer."""
+        if observation.tile_reports or observation.map_updates:
+            update_grid(self._grid, observation)
+        if observation.driver is not None:
+            self._driver = self._make(observation.driver)
 
     def act(self, observation: UgvObservation) -> UgvCommand:
         """Return the command for this observation."""
-        if observation.driver is not None:
-            self._driver = self._make(observation.driver)
+        self.perceive(observation)
         acceleration, route = self._driver.drive(observation), None
         backups: tuple[BackupTrajectory, ...] = ()
         report: UgvReport | None = None

@@ -4,16 +4,22 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.messages.ground import Hazard, MapUpdate
-from bus.messages.telemetry import MissionResult
-from bus.messages.vehicle import UgvReport
+from agents.ugv import UgvPilot
+from bus.messages.ground import Hazard, MapUpdate, TileReport
+from bus.messages.links import LinkSettings
+from bus.messages.telemetry import MissionResult, UgvGuarantee
+from bus.messages.vehicle import Teleoperation, UgvObservation, UgvReport
 from flights import record
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
-from outrider.running.flying import fly
-from sim.models.ground import CLEAR, UNCERTIFIED, UNSEEN, block_letters
+from outrider.running.flying import InProcess, fly, make_pilots
+from sim.engine.briefing import ugv_briefing
+from sim.models.ground import CLEAR, NOT_OWN, UNCERTIFIED, UNSEEN, block_letters
 from sim.models.hazards import BLOCK
+from sim.scenario.checks import check_scenario
 from sim.scenario.loading import load_scenario
+from sim.scenario.types import Ground, LinkTable, Scenario, Ugv
+from sim.server.flight import Flight
 from sim.world import World
 from test_seen_ground import scenario_with
 
@@ -94,3 +100,69 @@ def test_runs_and_environments_count_alike(change: str) -> None:
     assert guarantees["ugv_0"].ticks == 500
     assert guarantees["ugv_0"].certified > 400
     assert mission(env.unwrapped.world).guarantees == guarantees
+
+
+# changes of the driver
+
+
+def flown_by_turns(stop: float, *, delay: float, first: str = "navigate") -> Flight:
+    """Fly a UGV towards a mine, from second 1 on by an operator, and by `navigate` again where x reaches `stop` [m]."""
+    mine = Hazard(kind="block", center=(10.0, 6.0), radius=0.5)
+    ugv = Ugv(
+        position=(7.0, 6.0), goals=((12.0, 6.0),), driver=first, max_speed=0.3, max_acceleration=0.1
+    )
+    links = LinkTable(commands=LinkSettings(delay=delay))
+    ground = Ground(sensing_range=1.0)
+    scenario = check_scenario(
+        Scenario(ugv=(ugv,), hazard=(mine,), ground=ground, links=links, duration=60.0)
+    )
+    flight, operated = Flight(scenario, 1), 20 if first == "navigate" else 0
+    exchange, east = (
+        InProcess(make_pilots(scenario, 1)),
+        Teleoperation(operator="a", velocity=(1.0, 0.0)),
+    )
+    while not flight.over:
+        tick, x = flight.world.tick, flight.world.position[0, 0]
+        if tick == operated:
+            flight.assign_driver("ugv_0", "teleop")
+        if flight.drivers["ugv_0"] == "teleop":
+            flight.teleoperate("ugv_0", east)
+            if x >= stop:
+                flight.assign_driver("ugv_0", "navigate")
+        flight.fly_tick(exchange)
+    return flight
+
+
+def guarantee(flight: Flight) -> UgvGuarantee:
+    return mission(flight.world).guarantees["ugv_0"]
+
+
+def test_nothing_is_certified_while_an_operators_command_acts() -> None:
+    """The mine's tiles start at x = 9 m; the UGV brakes within 0.45 m, and drives 0.15 m before commands arrive."""
+    for stop in np.arange(8.3, 8.6, 0.03):
+        found = guarantee(flown_by_turns(float(stop), delay=0.5))
+        assert found.certificate_broken == 0
+        assert found.uncertified[UNCERTIFIED[NOT_OWN]] == 11
+        assert found.certified > 0
+
+
+@pytest.mark.parametrize("first", ["navigate", "teleop"])
+def test_navigate_knows_what_other_drivers_have_sensed(first: str) -> None:
+    """Without a UAV: the UGV has sensed the tiles around it while the operator drove."""
+    flight = flown_by_turns(8.0, delay=0.0, first=first)
+    assert mission(flight.world).arrived
+    assert guarantee(flight).certificate_broken == 0
+
+
+def test_reports_too_late_to_answer_are_on_the_map() -> None:
+    """A pilot that is slower than the clock only perceives some observations."""
+    scenario = on_unseen_ground().scenario
+    ugv = msgspec.structs.replace(scenario.ugv[0], driver="navigate")
+    (name,) = (one.name for one in scenario.ugv)
+    pilot = UgvPilot(ugv_briefing(msgspec.structs.replace(scenario, ugv=(ugv,)), name, 1))
+    x, y = ugv.position
+    reports = tuple(TileReport(j, i, ".") for i in range(24) for j in range(24))
+    own = {"position": (x, y), "velocity": (0.0, 0.0)}
+    pilot.perceive(UgvObservation(tick=0, time=0.0, **own, tile_reports=reports))
+    pilot.forget_commands()
+    assert pilot.act(UgvObservation(tick=1, time=0.05, **own)).acceleration != (0.0, 0.0)

@@ -14,6 +14,8 @@ from agents.drivers.planning import path_corners
 from agents.drivers.tile_map import (
     OccupancyGrid,
     PlaceArray,
+    forget_plan,
+    forget_sent,
     occupancy_grid,
     record_block,
     record_tiles,
@@ -123,12 +125,16 @@ class CompiledDriver:
     Args:
         briefing: Briefing of the UGV.
         name: Name of the driver, a row of the registry with a file.
+        grid: Occupancy grid of the vehicle, which its pilot updates; the driver keeps its tiles and forgets its plan.
+            None: the driver's own, updated in `drive`.
 
     Raises:
         ScenarioError: If the driver has no compiled form, or the area has too many tiles.
     """
 
-    def __init__(self, briefing: UgvBriefing, name: str) -> None:
+    def __init__(
+        self, briefing: UgvBriefing, name: str, *, grid: OccupancyGrid | None = None
+    ) -> None:
         self.parameters = driver_parameters(briefing, name)
         """Parameters of the driver, as its file declares them."""
         row = DRIVERS[name]
@@ -136,8 +142,10 @@ class CompiledDriver:
         memory: Any = fresh(module.Memory)
         if "key_0" in memory.dtype.names:
             memory["key_0"], memory["key_1"] = words_of(briefing.key)
-        self.ground = briefed_grid(briefing)
+        self._owns_grid = grid is None
+        self.ground = briefed_grid(briefing) if grid is None else grid
         """Occupancy grid; without tiles if there are no hazards."""
+        forget_plan(self.ground)
         ugv = records(UgvParameters, [ugv_parameters(briefing, unbounded=row.unbounded)])
         parameters = records(type(self.parameters), [self.parameters])
         # Arrays of one row: a single row becomes read-only when pickled.
@@ -154,7 +162,7 @@ class CompiledDriver:
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """Return the acceleration [m/s²] for this observation."""
-        if observation.tile_reports or observation.map_updates:
+        if self._owns_grid:
             update_grid(self.ground, observation)
         committed = (
             NO_MOTION
@@ -178,8 +186,10 @@ class CompiledDriver:
 class NavigateDriver(CompiledDriver):
     """Driver that navigates between goals over the known ground, see `agents.drivers.navigate`."""
 
-    def __init__(self, briefing: UgvBriefing, name: str = "navigate") -> None:
-        super().__init__(briefing, name)
+    def __init__(
+        self, briefing: UgvBriefing, name: str = "navigate", *, grid: OccupancyGrid | None = None
+    ) -> None:
+        super().__init__(briefing, name, grid=grid)
         self._plans = 0
         self._reported: tuple[Vector, ...] = ()
         self._corners: PlaceArray = np.zeros(MOST_CORNERS, dtype=np.int32)
@@ -207,7 +217,7 @@ class NavigateDriver(CompiledDriver):
 
     def forget_commands(self) -> None:
         """Forget the commands so far: they were not sent, or another process sent them."""
-        self.ground.sent["begins"] = NO_MOTION
+        forget_sent(self.ground)
 
     def new_route(self, position: Vector) -> tuple[Vector, ...] | None:
         """Return the corners of the planned path from a position to the goal [m], for observers; empty without a path.

@@ -11,6 +11,7 @@ import numpy as np
 from agents.asking import LARGEST, AskedPolicy, pair
 from agents.drivers.compiled import briefed_grid, update_grid
 from agents.drivers.steering import Steering
+from agents.drivers.tile_map import OccupancyGrid
 from bus.errors import ScenarioError
 from bus.messages.vehicle import UgvBriefing, UgvObservation
 from bus.observations import UGV, Row, clipped
@@ -75,16 +76,21 @@ class UgvTiles:
     Args:
         briefing: Briefing of the UGV.
         side: Tiles on each side of the picture.
+        grid: Occupancy grid of the vehicle, which its pilot updates; None: its own, updated here.
     """
 
-    def __init__(self, briefing: UgvBriefing, side: int) -> None:
-        self._known = briefed_grid(briefing)
+    def __init__(
+        self, briefing: UgvBriefing, side: int, *, grid: OccupancyGrid | None = None
+    ) -> None:
+        self._owns_grid = grid is None
+        self._known = briefed_grid(briefing) if grid is None else grid
         self._tile = 0.0 if briefing.ground is None else float(briefing.ground.tile)
         self._picture: TileArray = np.empty((1, side, side), np.uint8)
 
     def tiles(self, observation: UgvObservation) -> TileArray:
         """Return the picture of this tick. Shape (side, side)."""
-        update_grid(self._known, observation)
+        if self._owns_grid:
+            update_grid(self._known, observation)
         position = np.array([observation.position], dtype=np.float64)
         tile_patches(self._known.tiles[None], self._tile, position, self._picture)
         around: TileArray = self._picture[0].copy()
@@ -97,9 +103,10 @@ class _Predictor:
     Args:
         model: Policy; several UGVs may share it.
         briefing: Briefing of the UGV.
+        grid: As in `UgvTiles`.
     """
 
-    def __init__(self, model: RowPolicy, briefing: UgvBriefing) -> None:
+    def __init__(self, model: RowPolicy, briefing: UgvBriefing, grid: OccupancyGrid | None) -> None:
         self._predict = model.predict
         self._rows = UgvRows(briefing)
         space = getattr(model, "observation_space", None)
@@ -108,7 +115,8 @@ class _Predictor:
         if isinstance(parts, Mapping) and "tiles" in parts:
             if briefing.ground is None:
                 raise ScenarioError("observes tiles, but the scenario has no hazards")
-            space, self._tiles = parts.get("row"), UgvTiles(briefing, parts["tiles"].shape[0])
+            side = parts["tiles"].shape[0]
+            space, self._tiles = parts.get("row"), UgvTiles(briefing, side, grid=grid)
         self._dtype = getattr(space, "dtype", None) or np.float64
         self._known = _parameters(model.predict)
         self._state: object = None
@@ -152,15 +160,23 @@ class PolicyDriver:
         briefing: Briefing of the UGV.
         policy: Function, or object that predicts.
         name: Name of the policy in errors, for example `module:function`.
+        grid: As in `UgvTiles`.
     """
 
-    def __init__(self, briefing: UgvBriefing, *, policy: Policy, name: str) -> None:
+    def __init__(
+        self,
+        briefing: UgvBriefing,
+        *,
+        policy: Policy,
+        name: str,
+        grid: OccupancyGrid | None = None,
+    ) -> None:
         self._briefing = briefing
         self._steering = Steering(briefing)
         self._sees_rows = isinstance(policy, RowPolicy)
         field = f"policy = {name!r}"
         try:
-            asked = _Predictor(policy, briefing) if isinstance(policy, RowPolicy) else policy
+            asked = _Predictor(policy, briefing, grid) if isinstance(policy, RowPolicy) else policy
         except ScenarioError as error:
             raise ScenarioError(f"{field}: {error}") from error
         self._asked = AskedPolicy(asked, field, self._steering.dt)
