@@ -184,6 +184,19 @@ def test_waypoints_driver_that_cuts_a_corner_is_counted() -> None:
     assert near_building(scenario(none)) == [0]
 
 
+def test_ugv_at_a_wall_is_visible_from_the_open_side() -> None:
+    wall = Building(polygon=((5.0, 7.0), (15.0, 7.0), (15.0, 20.0), (5.0, 20.0)), height=10.0)
+    for x, y, radius in ((10.0, 5.0, 4.75), (10.0, 8.0, 0.0), (10.0, 7.0, 4.75)):
+        uav = Uav(position=(x, y), initial_altitude=14.0, max_altitude=20.0)
+        one = scenario(Ugv(position=(10.0, 6.0)), uav=(uav,), building=(wall,))
+        world = pushed(one, 0.0, 0.1)
+        assert world.position[1].tolist() == pytest.approx([10.0, 7.0])
+        assert world.velocity[1].tolist() == [0.0, 0.0]
+        world.measure()
+        assert world.vehicles["sight_radius"][0] == radius
+        assert np.isfinite(world.detections).all() == (radius > 0.0)
+
+
 @pytest.mark.parametrize("seeds", [10, pytest.param(50, marks=pytest.mark.long)])
 def test_cautious_ugv_keeps_its_clearance_in_towns(town: Scenario, seeds: int) -> None:
     assert near_building(msgspec.structs.replace(town, uav=()), seeds) == [0] * seeds

@@ -91,8 +91,10 @@ def test_buildings_that_are_not_higher_stop_nothing(buildings) -> None:
         ((0.0, 3.0, 10.0), (6.0, 3.0, 0.0), True),  # 3.33 m high where it leaves the house
         ((0.0, 3.0, 8.0), (6.0, 3.0, 0.0), False),  # 2.67 m high there
         ((0.0, 3.0, 3.0), (6.0, 3.0, 0.0), False),  # as high as the roof
-        ((0.0, 3.0, 2.0), (2.0, 3.0, 0.0), False),  # on its wall
-        ((0.0, 4.0, 2.0), (6.0, 4.0, 0.0), False),  # along its wall
+        ((0.0, 3.0, 2.0), (2.0, 3.0, 0.0), True),  # on its wall
+        ((6.0, 3.0, 2.0), (2.0, 3.0, 0.0), False),  # on its far wall
+        ((2.0, 3.0, 9.0), (2.0, 3.0, 0.0), True),  # on its wall, from straight above
+        ((0.0, 4.0, 2.0), (6.0, 4.0, 0.0), True),  # along its wall
         ((0.0, 4.1, 2.0), (6.0, 4.1, 0.0), True),  # beside it
         ((3.0, 3.0, 9.0), (3.0, 3.0, 2.9), False),  # below its roof
         ((3.0, 3.0, 9.0), (3.0, 3.0, 3.0), True),  # on its roof
@@ -107,10 +109,10 @@ def test_line_of_sight_by_hand(camera, point, seen) -> None:
 
 
 def test_shadow_from_above_a_corner_is_the_scaled_footprint() -> None:
-    """F = 10 / (10 - 5) = 2; all walls and their shadows run through centers of cells, and are hidden."""
+    """F = 10 / (10 - 5) = 2; all walls and their shadows run through centers of cells, which are visible."""
     corners = [(2.5, 2.5), (4.5, 2.5), (4.5, 4.5), (2.5, 4.5)]
     x, y = centers(1.0, 9, 9)
-    wanted = (x >= 2.5) & (x <= 6.5) & (y >= 2.5) & (y <= 6.5)
+    wanted = (x > 2.5) & (x < 6.5) & (y > 2.5) & (y < 6.5)
     for turned in (corners, corners[::-1], corners[1:] + corners[:1]):
         found = hidden_cells(occlusion([(turned, 5.0)], 10.0), 2.5, 2.5, 9.0, 1.0, (9, 9))
         np.testing.assert_array_equal(found, wanted)
@@ -120,7 +122,7 @@ def test_shadow_of_walls_in_line_with_the_camera() -> None:
     """The camera is lower than the roof, and on the line of the lower wall."""
     corners = [(3.5, 1.5), (5.5, 1.5), (5.5, 3.5), (3.5, 3.5)]
     x, y = centers(1.0, 12, 12)
-    wanted = (x >= 3.5) & (y >= 1.5) & (y - 1.5 <= x - 1.5)
+    wanted = (x > 3.5) & (y > 1.5) & (y - 1.5 < x - 1.5)
     found = hidden_cells(occlusion([(corners, 5.0)], 4.0), 1.5, 1.5, 30.0, 1.0, (12, 12))
     np.testing.assert_array_equal(found, wanted)
 

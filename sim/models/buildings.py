@@ -1,7 +1,10 @@
 """Buildings: prisms over polygons, which hide what is behind them and stop a UAV that flies lower than they are high.
 
-A building is the closed set of the points above its footprint, a simple polygon, from the ground up to its height. All
-functions work on tables of `BuildingRow`; no camera is inside a building.
+A building is the set of the points above its footprint, a simple polygon, from the ground up to its height. For contact
+it is closed: a path that touches a wall has met it. For sight it is open: a wall hides what is behind it, but neither
+itself nor what leans on it from outside. A sight line needs a gap, though: one that touches buildings on both of its
+sides, as between two that share a wall, is blocked. All functions work on tables of `BuildingRow`; no camera is inside
+a building.
 """
 
 import math
@@ -13,7 +16,14 @@ import numpy as np
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray, records
 from sim.models.grid import chord
-from sim.models.polygons import distance_to_polygon, segment_distance2, way_to_polygon
+from sim.models.polygons import (
+    ON_EDGE,
+    distance_to_polygon,
+    lies_inside,
+    passes_inside,
+    segment_distance2,
+    way_to_polygon,
+)
 from sim.models.vehicles import norm
 
 _MARGIN = 1e-9
@@ -97,28 +107,40 @@ def line_of_sight(
     q_y: float,
     h: float,
 ) -> bool:
-    """Return whether a camera sees a point: the segment between them touches no building.
+    """Return whether a camera sees a point: the segment between them, or one just beside it, is outside all buildings.
 
-    A building of height H hides the point if the part of the segment below H touches its footprint. A building with H
-    <= h hides nothing: a point on a roof is visible from above. A point on the footprint, and lower than the roof, is
-    hidden.
+    A building of height H hides the point if the part of the segment below H is inside its footprint somewhere. A
+    building with H <= h hides nothing: a point on a roof is visible from above. A point inside the footprint, and lower
+    than the roof, is hidden; one on a wall is visible from outside, within `ON_EDGE`.
 
     Args:
         buildings, corners: Tables as from `building_table`.
         x, y, z: Position of the camera, and its height above the ground [m]; outside of all buildings.
         q_x, q_y, h: Position of the point, and its height above the ground, at most z [m].
     """
+    way = x - q_x, y - q_y
+    length = norm(way[0], way[1])
+    left = right = True
     for k in range(buildings.shape[0]):
         row = buildings[k]
         height = row["height"]
         if height <= h:
             continue
         share = 1.0 if height >= z else (height - h) / (z - h)
-        point, end = (q_x, q_y), (q_x + share * (x - q_x), q_y + share * (y - q_y))
-        if _may_meet(buildings, k, point, end):
-            way = way_to_polygon(corners, row["first"], row["corners"], point, end)
-            if way < math.inf:
+        point, end = (q_x, q_y), (q_x + share * way[0], q_y + share * way[1])
+        if not _may_meet(buildings, k, point, end):
+            continue
+        first, count = row["first"], row["corners"]
+        if length <= ON_EDGE:  # straight from above
+            if lies_inside(corners, first, count, q_x, q_y):
                 return False
+            continue
+        begin = min(ON_EDGE / length, share)
+        part = begin, max(begin, share - ON_EDGE / length)
+        left = left and not passes_inside(corners, first, count, point, way, part, 1)
+        right = right and not passes_inside(corners, first, count, point, way, part, -1)
+        if not (left or right):
+            return False
     return True
 
 
@@ -167,11 +189,8 @@ def sees_corner(
     d_x, d_y = x - corners[n, 0], y - corners[n, 1]
     if d_x * d_x + d_y * d_y > reach * reach:
         return False
-    # just before the corner: there the wall itself hides nothing
-    q_x, q_y = corners[n, 0] + _MARGIN * d_x, corners[n, 1] + _MARGIN * d_y
-    seen: bool = line_of_sight(
-        buildings, corners, x, y, z, q_x, q_y, min(buildings[k]["height"], z)
-    )
+    h = min(buildings[k]["height"], z)
+    seen: bool = line_of_sight(buildings, corners, x, y, z, corners[n, 0], corners[n, 1], h)
     return seen
 
 
@@ -184,7 +203,7 @@ def cover_footprint(
     cell: float,
     value: float,
 ) -> None:
-    """Set the cells of a map whose centers are under a building.
+    """Set the cells of a map whose centers are under a building, not on its edge: there, a camera may see them.
 
     Args:
         coverage: The map; changed. Shape (rows, columns).
@@ -199,7 +218,7 @@ def cover_footprint(
     for j in range(first_row, end_row):
         for i in range(first, end):
             x, y = (i + 0.5) * cell, (j + 0.5) * cell
-            if distance_to_polygon(corners, row["first"], row["corners"], x, y) == 0.0:
+            if lies_inside(corners, row["first"], row["corners"], x, y):
                 coverage[j, i] = value
 
 

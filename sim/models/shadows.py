@@ -8,6 +8,9 @@ Outline of this set: a ray from p enters B through a front edge, at r_1, and lea
 points from r_1 to F r_2 are hidden. The curve that follows front edges, follows back edges scaled by F, and joins them
 along rays winds once around each such stretch. Hence a point is hidden if and only if this curve has a positive winding
 number there, for a footprint of any shape. The winding numbers of several buildings add up.
+
+A point on an outline is hidden if all points just around it are: buildings are open sets, as in
+`sim.models.buildings.line_of_sight`. The winding number is counted on the four sides of each cell's center.
 """
 
 from typing import NamedTuple
@@ -22,6 +25,9 @@ from sim.models.grid import disc_chords
 
 _LARGEST_FACTOR = 1e10
 """Bound of F. Scaled by it, every wall farther than 1e-9 m from the camera is beyond a range of 10 m."""
+
+_TIE = 1e-9
+"""Distance from a row, column or center up to which a point is on it [cells]; it exceeds the rounding error."""
 
 Corner = tuple[float, float]
 """Corner of an outline in units of cells: column before row, counted from the center of the disc's first row."""
@@ -38,14 +44,27 @@ class Occlusion(NamedTuple):
     """Height of the camera above the ground [m]; above the roof of a building that the camera is over."""
 
 
+class _Outlines(NamedTuple):
+    """Outlines of hidden sets, by row."""
+
+    chords: IntArray
+    """As in `Shadow`."""
+    changes: npt.NDArray[np.int16]
+    """Change of the winding number from the cell to the left, at four points next to each cell's center: above it and
+    below it, each right and left of it. Shape (rows, columns + 1, 4).
+    """
+    span: IntArray
+    """As in `Shadow`."""
+
+
 class Shadow(NamedTuple):
     """Winding numbers of the outlines of all hidden sets, at the cells of a sensor's disc."""
 
     chords: IntArray
     """Cells of each row, as from `disc_chords`. Shape (2, rows)."""
     winding: npt.NDArray[np.int16]
-    """Twice the winding number at each cell of a chord: positive if the cell is hidden. While outlines are added, its
-    change from the cell to the left. The first cell of a chord is at `LANES`. Shape (rows, columns + 2 LANES).
+    """Least winding number around the center of each cell of a chord: positive if the cell is hidden. The first cell
+    of a chord is at `LANES`. Shape (rows, columns + 2 LANES).
     """
     span: IntArray
     """First cell of each row that may be hidden, and the one after the last, counted from its chord. Shape (2, rows).
@@ -55,41 +74,53 @@ class Shadow(NamedTuple):
 
 
 @compiled
-def _add_side(shadow: Shadow, u: Corner, v: Corner, turn: int) -> None:
+def _snapped(a: float) -> float:
+    """Return a number of cells, rounded if it is next to a whole number."""
+    whole: float = np.rint(a)
+    return whole if abs(a - whole) <= _TIE else a
+
+
+@compiled
+def _add_side(outlines: _Outlines, u: Corner, v: Corner, turn: int) -> None:
     """Add the crossings of the rows by one side of an outline, which turns counterclockwise from u to v.
 
-    Hidden sets are closed. Columns: the first hidden center is at or right of a crossing, the last one at or left of
-    it. Rows: the winding number is counted twice, just above and just below the row, so that a row along a side or
-    through a corner is hidden where either is.
-
     Args:
-        shadow: The shadow; changed.
+        outlines: The outlines; changed.
         u: Start of the side and, on a ray, its end near the camera.
         v: End of the side.
         turn: 1; -1 for a side from v to u.
     """
-    (u_column, u_row), (v_column, v_row), rows = u, v, float(shadow.span.shape[1])
+    (u_column, u_row), (v_column, v_row), rows = u, v, float(outlines.span.shape[1])
     low, high = min(u_row, v_row), max(u_row, v_row)
     begin, end = int(max(np.ceil(low), 0.0)), int(min(np.floor(high) + 1.0, rows))
     if end <= begin or low == high:
         return
     slope = (v_column - u_column) / (v_row - u_row)
-    left = (turn > 0) == (v_row < u_row)
+    change = 1 if (turn > 0) == (v_row < u_row) else -1
     for n in range(begin, end):
-        column = u_column + (n - u_row) * slope
-        column = np.ceil(column) if left else np.floor(column) + 1.0
-        first, behind = float(shadow.chords[0, n]), float(shadow.chords[1, n])
-        place = int(max(min(column, behind), first) - first)  # a chord may be empty
-        weight = 2 - (n <= low) - (n >= high)
-        shadow.winding[n, LANES + place] += weight if left else -weight
-        shadow.span[0, n] = min(shadow.span[0, n], place)
-        shadow.span[1, n] = max(shadow.span[1, n], place)
+        column = _snapped(u_column + (n - u_row) * slope)
+        first, behind = float(outlines.chords[0, n]), float(outlines.chords[1, n])
+        for left in range(2):  # of a center on the side, only the point right of it is beyond
+            beyond = np.floor(column) + 1.0 if left else np.ceil(column)
+            place = int(max(min(beyond, behind), first) - first)  # a chord may be empty
+            if n < high:
+                outlines.changes[n, place, left] += change
+            if n > low:
+                outlines.changes[n, place, 2 + left] += change
+            outlines.span[0, n] = min(outlines.span[0, n], place)
+            outlines.span[1, n] = max(outlines.span[1, n], place)
 
 
 @compiled
 def _scaled(p: Corner, factor: float, a: Corner) -> Corner:
     """Return a point, scaled about p."""
-    return p[0] + factor * (a[0] - p[0]), p[1] + factor * (a[1] - p[1])
+    return _snapped(p[0] + factor * (a[0] - p[0])), _snapped(p[1] + factor * (a[1] - p[1]))
+
+
+@compiled
+def _in_cells(corners: FloatArray, n: int, per_cell: float, bottom: float) -> Corner:
+    """Return a corner of a footprint in units of cells."""
+    return _snapped(corners[n, 0] * per_cell - 0.5), _snapped(corners[n, 1] * per_cell - bottom)
 
 
 @compiled
@@ -100,12 +131,17 @@ def _is_back(p: Corner, a: Corner, b: Corner) -> bool:
 
 @compiled
 def _add_building(
-    shadow: Shadow, occlusion: Occlusion, k: int, camera: Corner, per_cell: float, bottom: float
+    outlines: _Outlines,
+    occlusion: Occlusion,
+    k: int,
+    camera: Corner,
+    per_cell: float,
+    bottom: float,
 ) -> None:
     """Add the outline of the set that a building hides.
 
     Args:
-        shadow: The shadow; changed.
+        outlines: The outlines; changed.
         occlusion: The buildings.
         k: Index of the building.
         camera: Position of the camera.
@@ -116,19 +152,19 @@ def _add_building(
     height = row["height"]
     factor = min(z / (z - height), _LARGEST_FACTOR) if height < z else _LARGEST_FACTOR
     first, end = row["first"], row["first"] + row["corners"]
-    a = corners[end - 2, 0] * per_cell - 0.5, corners[end - 2, 1] * per_cell - bottom
-    b = corners[end - 1, 0] * per_cell - 0.5, corners[end - 1, 1] * per_cell - bottom
+    a = _in_cells(corners, end - 2, per_cell, bottom)
+    b = _in_cells(corners, end - 1, per_cell, bottom)
     was_back, far_b = _is_back(camera, a, b), _scaled(camera, factor, b)
     for n in range(first, end):
         a, far_a = b, far_b
-        b = corners[n, 0] * per_cell - 0.5, corners[n, 1] * per_cell - bottom
+        b = _in_cells(corners, n, per_cell, bottom)
         back, far_b = _is_back(camera, a, b), _scaled(camera, factor, b)
         if back != was_back:
-            _add_side(shadow, a, far_a, 1 if back else -1)
+            _add_side(outlines, a, far_a, 1 if back else -1)
         if back:
-            _add_side(shadow, far_a, far_b, 1)
+            _add_side(outlines, far_a, far_b, 1)
         else:
-            _add_side(shadow, a, b, 1)
+            _add_side(outlines, a, b, 1)
         was_back = back
 
 
@@ -162,18 +198,24 @@ def cast_shadow(
         np.zeros((2, rows), dtype=np.int64),
     )
     shadow.span[0] = columns
+    changes = np.zeros((rows, columns + 1, 4), dtype=np.int16)
+    outlines = _Outlines(chords, changes, shadow.span)
     per_cell, bottom = 1.0 / cell, first_row + 0.5
     camera = x * per_cell - 0.5, y * per_cell - bottom
     for k in range(occlusion.buildings.shape[0]):
         row = occlusion.buildings[k]
         d_x, d_y, far = row["x"] - x, row["y"] - y, row["reach"] + radius
         if d_x * d_x + d_y * d_y <= far * far:
-            _add_building(shadow, occlusion, k, camera, per_cell, bottom)
+            _add_building(outlines, occlusion, k, camera, per_cell, bottom)
     for n in range(rows):
-        winding, row_winding = 0, shadow.winding[n, LANES:]
+        row_winding = shadow.winding[n, LANES:]
+        a = b = c = d = 0
         for i in range(shadow.span[0, n], shadow.span[1, n] + 1):  # 0 again beyond
-            winding += row_winding[i]
-            row_winding[i] = winding
+            a += changes[n, i, 0]
+            b += changes[n, i, 1]
+            c += changes[n, i, 2]
+            d += changes[n, i, 3]
+            row_winding[i] = min(a, b, c, d)
     return shadow
 
 
