@@ -184,6 +184,20 @@ def test_waypoints_driver_that_cuts_a_corner_is_counted() -> None:
     assert near_building(scenario(none)) == [0]
 
 
+def test_a_building_too_near_between_two_ticks_is_counted() -> None:
+    """The UGV drives 0.5 m per tick, past the tip of a building in 0.1 m; it keeps 0.2 m at every tick."""
+    tip = Building(polygon=((8.0, 12.0), (7.0, 9.1), (6.0, 12.0)), height=5.0)
+    ugv = Ugv(position=(5.0, 9.0), max_speed=10.0, max_acceleration=200.0, building_clearance=0.2)
+    world = World(scenario(ugv, building=(tip,)), 1)
+    places = []
+    for _ in range(10):
+        world.step(np.array([[200.0, 0.0]]))
+        places.append(distances((tip,), *world.position[0])[0])
+    assert world.velocity[0].tolist() == [10.0, 0.0]
+    assert min(places) > 0.2
+    assert world.mission.guarantees["ugv_0"].near_building == 1
+
+
 def test_ugv_at_a_wall_is_visible_from_the_open_side() -> None:
     wall = Building(polygon=((5.0, 7.0), (15.0, 7.0), (15.0, 20.0), (5.0, 20.0)), height=10.0)
     for x, y, radius in ((10.0, 5.0, 4.75), (10.0, 8.0, 0.0), (10.0, 7.0, 4.75)):

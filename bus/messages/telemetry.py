@@ -109,7 +109,7 @@ class UgvGuarantee(Message, frozen=True, kw_only=True):
     0 disproves the guarantee.
     """
     near_building: Tick = 0
-    """Ticks in which it was nearer to a building than its `building_clearance`."""
+    """Ticks in which it came nearer to a building than its `building_clearance`, between ticks too."""
     near_building_excused: Tick = 0
     """Of these, ticks under a driver that guarantees no distance. Any further tick disproves what the UGV declares."""
 

@@ -183,8 +183,8 @@ MISSION = _table(
            "tiles, although all assumptions held.",
            total="sum", goal=0.0, guaranteed=True, column="int64"),
     Metric("near_building", "too near to a building", "ticks", 0,
-           "Ticks in which a UGV was nearer to a building than its `building_clearance`; none "
-           "if no UGV declares one.", total="sum", goal=0.0, column="int64"),
+           "Ticks in which a UGV came nearer to a building than its `building_clearance`, "
+           "between ticks too; none if no UGV declares one.", total="sum", goal=0.0, column="int64"),
     Metric("near_building_excused", "of these, explained by the driver", "ticks", 0,
            "Ticks of `near_building` under a driver that guarantees no distance, such as an operator.",
            total="sum", column="int64"),

@@ -61,11 +61,11 @@ class Progress(NamedTuple):
     """Its claim at this tick, a constant of `sim.models.ground`; 0: none."""
     near_building: int
     near_excused: int
-    """Ticks in which it was nearer to a building than the clearance that it declares; of these, ticks under a driver
-    that guarantees none.
+    """Ticks in which it came nearer to a building than the clearance that it declares, between ticks too; of these,
+    ticks under a driver that guarantees none.
     """
     near: bool
-    """True if it is nearer at this tick."""
+    """True if it came nearer on its way to this tick."""
     certified: int
     way_unknown: int
     no_stop: int

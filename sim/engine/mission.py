@@ -26,6 +26,7 @@ from sim.models.ground import (
     tile_index,
 )
 from sim.models.hazards import BLOCK, FOUND, ROUGH, distance_to_hazard, may_be_within
+from sim.models.polygons import path_distance
 from sim.models.vehicles import next_goal, norm
 
 ON_WAY = 2.0
@@ -165,15 +166,23 @@ def _list_near(hazards: RecordArray, near: TickArray, x: float, y: float) -> int
 
 
 @compiled
-def _is_near_building(ground: GroundState, world: int, ugv: int, x: float, y: float) -> bool:
-    """Return whether a UGV at (x, y) [m] is nearer to a building than the clearance that it declares."""
+def _is_near_building(
+    ground: GroundState,
+    world: int,
+    ugv: int,
+    start: tuple[float, float],
+    end: tuple[float, float],
+) -> bool:
+    """Return whether a UGV's path from start to end [m] is nearer to a building than the clearance that it declares."""
     parameters, clearance = ground.parameters[0], ground.clearances[ugv].declared
     if clearance == 0.0:
         return False
-    hazards = ground.hazards[world]
+    hazards, far = ground.hazards[world], norm(end[0] - start[0], end[1] - start[1]) + clearance
     for h in range(parameters.first_building, parameters.end_building):
-        near = hazards[h].kind > 0 and may_be_within(hazards, h, x, y, clearance)
-        if near and distance_to_hazard(hazards, ground.corners, h, x, y) < clearance:
+        if hazards[h].kind == 0 or not may_be_within(hazards, h, end[0], end[1], far):
+            continue
+        first, count = hazards[h].first, hazards[h].corners
+        if path_distance(ground.corners, first, count, start, end) < clearance:
             return True
     return False
 
@@ -186,11 +195,14 @@ def _drive(
     tick, vehicle = state.ticks[world], state.vehicles[world, tables.ugvs[ugv]]
     x, y = vehicle.position[0], vehicle.position[1]
     row, goals = ground.missions[world, ugv], goals_of(tables.goals, tables.goal_rows, ugv)
-    row.near = _is_near_building(ground, world, ugv, x, y)
+    start = x, y
+    if tick > 0:
+        start = ground.before[world, ugv, 0], ground.before[world, ugv, 1]
+    row.near = _is_near_building(ground, world, ugv, start, (x, y))
     row.near_building += 1 if row.near else 0
     row.near_excused += 1 if row.near and not ground.clearances[ugv].guaranteed else 0
     if tick > 0:
-        way = norm(x - ground.before[world, ugv, 0], y - ground.before[world, ugv, 1])
+        way = norm(x - start[0], y - start[1])
         tile, (rows, columns) = ground.parameters[0].tile, ground.tiles[world].shape
         received = ground.received[
             world, ugv, tile_index(y, tile, rows), tile_index(x, tile, columns)

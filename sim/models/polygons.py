@@ -165,3 +165,28 @@ def way_to_polygon(
     # rounding may hide a corner that the segment enters through
     inside = distance_to_polygon(corners, first, count, end[0], end[1]) == 0.0
     return min(1.0 if inside else math.inf, way_to_edges(corners, first, count, start, end))
+
+
+@compiled
+def path_distance(
+    corners: FloatArray,
+    first: int,
+    count: int,
+    start: tuple[float, float],
+    end: tuple[float, float],
+) -> float:
+    """Return the distance of the segment from start to end from a polygon [m]; 0 if they touch.
+
+    Arguments as in `way_to_edges`.
+    """
+    if way_to_polygon(corners, first, count, start, end) < math.inf:
+        return 0.0
+    nearest = min(
+        distance_to_polygon(corners, first, count, start[0], start[1]),
+        distance_to_polygon(corners, first, count, end[0], end[1]),
+    )
+    for n in range(first, first + count):
+        x, y = corners[n, 0], corners[n, 1]
+        away = segment_distance2(start[0], start[1], end[0], end[1], x, y)
+        nearest = min(nearest, math.sqrt(away))
+    return nearest
