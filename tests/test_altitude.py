@@ -9,9 +9,10 @@ import pytest
 
 from agents.control.altitude import climb_to
 from agents.safety.levels import levels_of, lowest_certified
+from agents.safety.safety_filter import SafetyFilter
 from bus.messages.decision import NotCertified
 from bus.messages.telemetry import EscortTruth, Status
-from bus.messages.vehicle import Teleoperation
+from bus.messages.vehicle import Detection, Teleoperation, UavObservation
 from flights import altered
 from outrider.cli.console import OUT, print_summary
 from outrider.running.altitude_assumptions import certified_from
@@ -23,6 +24,7 @@ from sim.engine.briefing import uav_briefing
 from sim.models.altitude import level_off, levelling_height, lowest_ahead, step_altitude
 from sim.models.buildings import building_distance, building_table, line_of_sight
 from sim.models.safety import visible_radius
+from sim.models.vehicles import step_vehicle
 from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
@@ -109,6 +111,33 @@ def test_bounds_of_the_filter_grow_with_the_floor() -> None:
     for name in ("floor", "radius", "handover_radius", "handover_bound"):
         assert (np.diff(levels[name]) >= 0.0).all()
     assert levels["radius"][-1] <= scenario.visibility.radius
+
+
+def test_a_descent_starts_with_the_ugv_within_the_lower_radius() -> None:
+    """The UAV flies to its UGV, a millimetre above the highest floor, and always tries to descend."""
+    brief = uav_briefing(load_scenario("town", overrides=["detections.noise=0"]), "uav_0", 0)
+    low, high = levels_of(brief)[-2:]
+    (v_a, u_a), dt = brief.limits.numbers, brief.dt
+    for start in high["handover_radius"] - np.linspace(0.011, 0.05, 40):
+        safety_filter, x, v, k, z = SafetyFilter(brief), -float(start), 0.0, 0, high["floor"] + 1e-3
+        while True:
+            seen = UavObservation(
+                tick=k,
+                time=k * dt,
+                position=(20.0 + x, 20.0),
+                velocity=(v, 0.0),
+                altitude=float(z),
+                detections=(Detection(time=k * dt, relative_position=(x, 0.0)),),
+            )
+            safety_filter.see(seen)
+            decision = safety_filter.filter(seen, (u_a, 0.0), -1.0)
+            if decision.vertical_acceleration < 0.0:
+                break
+            assert decision.certified
+            x, _, v, *_ = step_vehicle(x, 0.0, v, 0.0, *decision.acceleration, v_a, u_a, dt)
+            k += 1
+        assert k > 0
+        assert decision.certified_distance <= low["radius"]
 
 
 def test_check_names_the_lowest_certified_altitude_and_why() -> None:

@@ -2,8 +2,9 @@ r"""Decision of the safety filter of a UAV with an altitude. The proof is in doc
 
 The radius $R(z)$ within which the UGV is visible grows with the altitude: see `visible_radius`. The filter has a table
 of bounds, each valid from an altitude on, its floor. After the first tick of a plan the UAV levels off, so the lowest
-altitude of the plan is known when it is checked. The plan is checked with the bounds of the highest floor below it, and
-needs no other change: while the UAV is above the floor, it sees at least as far as the check assumes.
+altitude of the plan is known when it is checked. The plan is checked with the bounds of the highest floor below it:
+while the UAV is above the floor, it sees at least as far as the check assumes. If that floor is lower than that of the
+executed plan, the UGV must be within the smaller radius already where the plan begins.
 
 Altitudes above the ground [m], climb rates [m/s], vertical accelerations [m/s²].
 """

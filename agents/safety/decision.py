@@ -72,7 +72,7 @@ def _stays_in_sight(
 ) -> bool:
     """Return whether the UGV is certainly in sight now, and until the next tick if the UAV touches a wall.
 
-    The wall holds the UAV back by `over` [m]. A checked plan implies that the UGV is in sight now.
+    The wall holds the UAV back by `over` [m]. A plan checked with these bounds implies that the UGV is in sight now.
     """
     within = (
         checked or farthest(bounds, known, tick, here.p_x, here.p_y, bounds.radius) <= bounds.radius
@@ -104,7 +104,9 @@ def try_nominal(
     w_x, w_y = clip_norm(u_x, u_y, bounds.u_a)
     then, over = step_in_area(bounds, here, w_x, w_y)
     found = False
-    if _stays_in_sight(bounds, known, plan[0].checked != 0, tick, here, then, over):
+    # a plan checked from a higher altitude, where the UAV sees farther, implies nothing
+    checked = plan[0].checked != 0 and plan[0].floor <= bounds.floor
+    if _stays_in_sight(bounds, known, checked, tick, here, then, over):
         found = stop_from(bounds, known, plan, tick + 1, then)
         found = found or return_from(bounds, known, plan, tick + 1, then)
     return found, w_x, w_y
