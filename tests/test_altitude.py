@@ -27,6 +27,7 @@ from sim.models.safety import visible_radius
 from sim.models.vehicles import step_vehicle
 from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
+from sim.world import World
 
 DT, U, RATE = 0.05, 0.8, 1.5
 LIMITS = (0.5, 100.0, RATE, U)
@@ -165,6 +166,20 @@ def test_without_a_guaranteed_clearance_nothing_is_certified(change: str, phrase
     scenario = load_scenario("town", overrides=["building_field.0.street=6", *change.split()])
     assert how_certifiable(scenario) == "hardly ever"
     assert any(phrase in line for line in assumption_warnings(scenario))
+
+
+def test_receiver_levels_off_as_soon_as_commands_are_lost() -> None:
+    """Without a filter, the horizontal acceleration stays in effect for the command timeout."""
+    world = World(load_scenario("town", overrides=["law.name=tracking"]), 1)
+    uav, ticks = world.vertical[0], 40
+    for k in range(ticks):
+        if k < 10:
+            world.send(0, world.tick, (0.1, 0.0), vertical=-0.5)
+        world.advance()
+        assert uav["rate"] == pytest.approx(
+            max(-0.025 * (k + 1), -0.25) if k < 10 else min(0.0, -0.25 + 0.05 * (k - 9))
+        )
+        assert (world.commands[0, 0] == 0.1) == (k < 20)
 
 
 def test_town_flies_one_trajectory_over_three_processes() -> None:

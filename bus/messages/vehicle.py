@@ -264,7 +264,7 @@ class UavCommand(Message, frozen=True, kw_only=True):
     acceleration: Vector
     """Desired acceleration [m/s²]."""
     vertical_acceleration: Coordinate = 0.0
-    """Desired vertical acceleration [m/s²], if it has an altitude."""
+    """Desired vertical acceleration [m/s²], if it has an altitude; for one tick, after which it levels off."""
     backup_trajectories: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
     """Backup trajectories: the newest one, and earlier ones that the vehicle may have missed, one per tick, oldest
     first. Without any, the acceleration stays in effect until `command_timeout`.

@@ -167,6 +167,7 @@ def _exchange_commands(state: BatchState, traces: IntArray, world: int, v: int, 
     """Send the command of a vehicle over its link, and apply the newest one that has arrived."""
     vehicle, link = state.vehicles[world, v], state.links[world, row]
     begin_tick(link, state.packets, world, traces, state.ticks[world])
+    vehicle.vertical.command = math.nan  # without a new one, it levels off
     if vehicle.outgoing_tick >= 0:
         packet = state.packets[world, row, ARRIVED, 0]
         packet.stamp = vehicle.outgoing_tick
@@ -193,8 +194,8 @@ def _exchange_commands(state: BatchState, traces: IntArray, world: int, v: int, 
 def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None:
     """Send the commands; each vehicle executes the newest one that has arrived.
 
-    After the command timeout, it brakes. A receiver of trajectories starts each in its own tick if its parent is active
-    then. Otherwise it continues the active trajectory, and rests at its end.
+    Without a new one it levels off, and after the command timeout it brakes. A receiver of trajectories starts each in
+    its own tick if its parent is active then. Otherwise it continues the active trajectory, and rests at its end.
     """
     numbers, uavs = tables.world[0], tables.escorts.shape[0]
     for v in range(state.vehicles.shape[1]):
