@@ -4,6 +4,8 @@ import json
 import pkgutil
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -144,6 +146,18 @@ def test_documented_names_and_paths_exist(page: str) -> None:
         assert (ROOT / path).exists(), path
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     assert set(re.findall(r"(?:`|^)make ([a-z-]+)", PAGES[page], re.MULTILINE)) <= targets
+
+
+@pytest.mark.parametrize("program", ["certificate_tables", "cautious_attacks"])
+def test_documented_tables_of_benchmarks_exist(program: str) -> None:
+    shown = re.findall(
+        rf"benchmarks/{program}\.py (\w+)`?(?: and `(\w+)`)?", "".join(PAGES.values())
+    )
+    path = str(ROOT / "benchmarks" / f"{program}.py")
+    found = subprocess.run([sys.executable, path], capture_output=True, text=True, check=False)
+    allowed = set(found.stderr.rsplit("allowed: ", 1)[1].strip().split(", "))
+    assert {name for pair in shown for name in pair if name} <= allowed
+    assert shown
 
 
 def test_every_page_is_in_the_sites_navigation() -> None:
