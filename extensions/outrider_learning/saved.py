@@ -8,7 +8,7 @@ import copy
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Literal, Protocol, Self
 
 import msgspec
 import numpy as np
@@ -244,7 +244,7 @@ def _plain_row(space: spaces.Space[Any]) -> ObservationRecipe | None:
     extent = {"T": at["time"], "W": at["x"], "H": at["y"], "v_max": at["vx"]}
     diagonal = math.hypot(at["x"], at["y"]) * ROUNDING
     extent |= {"d_max": at["relative_x"], "D": diagonal}
-    dtype = np.dtype(space.dtype).name
+    dtype: Literal["float32", "float64"] = "float32" if space.dtype == np.float32 else "float64"
     detected, estimated = (
         ObservationRecipe(extent=extent, dtype=dtype, estimate=estimate).space()
         for estimate in (False, True)
