@@ -76,9 +76,9 @@ def flown(
     certified = np.zeros(scenario.ticks, dtype=np.bool_)
 
     def see(flight: Flight) -> None:
-        report = flight.answers.reports[0]
-        decision = None if report is None else report.decision
-        certified[flight.world.tick - 1] = decision is not None and decision.certified
+        reasons = flight.answers.reasons()  # of UAVs with a safety filter
+        uav = flight.world.uavs[0].name
+        certified[flight.world.tick - 1] = uav in reasons and reasons[uav] is None
 
     if candidate.kind == "adversary":
         flight, script = fly_adversary(scenario, tactics_of(candidate.vector, scenario), see)

@@ -300,7 +300,7 @@ class FlightRecorder:
             )
             self._file.begin(head, flight.scenario)
         still = np.zeros((1, len(flight.world.names), 2))
-        for written in self._texts.of(tick - 1, still, [[None] * len(flight.world.uavs)]):
+        for written in self._texts.of(tick - 1, still, [[(None, None)] * len(flight.world.uavs)]):
             self._file.tick(written._replace(commands=b""), flight.world.names, self._escorts)
         if tick == 1:
             # The ground before the first tick.
