@@ -1,12 +1,32 @@
-"""Address of the page: listening socket and access token."""
+"""Address of the page: listening socket, access token and proxies in front of it."""
 
 import errno
+import ipaddress
 import re
 import secrets
 import socket
+from typing import NamedTuple
 
 from bus.errors import ScenarioError
 from bus.locator import LOOPBACK
+
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+"""Address of a proxy, or of a network of proxies."""
+LOCAL_PROXIES: tuple[Network, ...] = (
+    ipaddress.ip_network("127.0.0.0/8"),
+    ipaddress.ip_network("::1"),
+)
+"""Proxies on this machine, which are always trusted."""
+
+
+class Access(NamedTuple):
+    """Conditions of access to the page."""
+
+    token: str = ""
+    """Access token; empty: every browser on this machine is admitted."""
+    proxies: tuple[Network, ...] = LOCAL_PROXIES
+    """Proxies whose statements on a request are trusted."""
+
 
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{20,128}")
 
@@ -37,6 +57,33 @@ def choose_token(host: str, token: str, *, wanted: bool = True) -> str:
             f"--no-token: other machines can reach --host {host}; allowed: {', '.join(LOOPBACK)}"
         )
     return ""
+
+
+def trusted_proxies(text: str) -> tuple[Network, ...]:
+    """Return the proxies on this machine and those in a list of addresses and networks, separated by commas.
+
+    Raises:
+        ScenarioError: If one is neither an address nor a network.
+    """
+    found = list(LOCAL_PROXIES)
+    for one in filter(None, map(str.strip, text.split(","))):
+        try:
+            found.append(ipaddress.ip_network(one, strict=False))
+        except ValueError as error:
+            raise ScenarioError(
+                f"--proxy {one}: neither an IP address nor a network; allowed: such as 192.0.2.7 or 172.16.0.0/12"
+            ) from error
+    return tuple(found)
+
+
+def address_among(host: str, networks: tuple[Network, ...]) -> bool:
+    """Return whether an IP address belongs to one of the networks."""
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    address = getattr(address, "ipv4_mapped", None) or address
+    return any(address in network for network in networks)
 
 
 def open_socket(host: str, port: int) -> socket.socket:

@@ -19,6 +19,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from bus.messages.base import Vector
 from bus.messages.decision import WHAT_HAPPENED
 from outrider.running.metrics import LINK, MISSION, NOW, PROCESS
+from outrider_dashboard.address import Access
 from outrider_dashboard.hub import Browser, Hub
 from outrider_dashboard.page_guard import LARGEST_HEAD, BoundedHead, Guard
 from outrider_dashboard.shell import BuildControls, build_page
@@ -57,7 +58,7 @@ class _UncachedFiles(StaticFiles):
 def serve(
     hub: Hub,
     listening: socket.socket,
-    token: str,
+    access: Access,
     *,
     controls: BuildControls | None,
     ready: Callable[[], None],
@@ -67,11 +68,11 @@ def serve(
     Args:
         hub: State of the run and its browsers.
         listening: Socket to serve on.
-        token: Access token; empty: no token is required.
+        access: Access token and trusted proxies.
         controls: Builds the controls of a page; None: a page without controls.
         ready: Called when the server accepts browsers.
     """
-    app = application(hub, token, controls=controls, ready=ready)
+    app = application(hub, access, controls=controls, ready=ready)
     web_server(app).run(sockets=[listening])
 
 
@@ -94,7 +95,7 @@ def web_server(app: ASGIApp) -> uvicorn.Server:
 
 
 def application(
-    hub: Hub, token: str, *, controls: BuildControls | None, ready: Callable[[], None]
+    hub: Hub, access: Access, *, controls: BuildControls | None, ready: Callable[[], None]
 ) -> ASGIApp:
     """Return the application behind its guard; arguments as for `serve`.
 
@@ -130,7 +131,7 @@ def application(
         show_welcome_message=False,
         tailwind=False,
     )
-    return Guard(app, token)
+    return Guard(app, access)
 
 
 async def _serve_browser(hub: Hub, channel: WebSocket) -> None:

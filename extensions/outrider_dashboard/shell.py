@@ -3,10 +3,12 @@
 from collections.abc import Callable
 
 from nicegui import ui
+from starlette.requests import Request
 
 from outrider_dashboard.controls.links_card import OBSERVER, LinkForm
 from outrider_dashboard.controls.widgets import card, html
 from outrider_dashboard.hub import Hub
+from outrider_dashboard.page_guard import PREFIX_HEADER
 from outrider_dashboard.space_view import PERIOD as SPACE_PERIOD
 from outrider_dashboard.space_view import SpaceView
 from sim.scene import colors as scene_colors
@@ -62,8 +64,11 @@ _CHARTS = f"""<div class="charts-head"><span class="title">Over time</span>
 )
 
 
-_HEAD = """<link rel="stylesheet" href="/static/colors.css"><link rel="stylesheet" href="/static/dashboard.css">
-<script type="module" src="/static/main.js"></script>"""
+def _head(prefix: str) -> str:
+    """Return the links to our files; `prefix` is the path under which a proxy serves the page."""
+    return f"""<link rel="stylesheet" href="{prefix}/static/colors.css">
+<link rel="stylesheet" href="{prefix}/static/dashboard.css">
+<script type="module" src="{prefix}/static/main.js"></script>"""
 
 
 def build_page(hub: Hub, controls: BuildControls | None) -> None:
@@ -75,8 +80,8 @@ def build_page(hub: Hub, controls: BuildControls | None) -> None:
     """
 
     @ui.page("/", title="Outrider")
-    def show() -> None:
-        ui.add_head_html(_HEAD)
+    def show(request: Request) -> None:
+        ui.add_head_html(_head(request.headers.get(PREFIX_HEADER, "")))  # checked by the guard
         ui.colors(
             primary=scene_colors.UAV[0],
             accent=scene_colors.UGV[0],

@@ -2,7 +2,10 @@
 
 const QUIET = 3000; // longest time without a frame on an open WebSocket [ms]
 const PATIENCE = 4000; // timeout of an HTTP request [ms]
-const PROBE = "/static/favicon.svg";
+// Relative to this file: a proxy may serve the page under a path of its own.
+const PROBE = new URL("favicon.svg", import.meta.url);
+const CHANNEL = new URL("../frames", import.meta.url);
+CHANNEL.protocol = CHANNEL.protocol.replace("http", "ws");
 
 // Connect; `onSilence` is called with the fault when no frames arrive: `websocket` (the dashboard answers over HTTP
 // only), `rejected` (it does not admit this page), `silent` (it does not answer), `still` (the WebSocket is open, but
@@ -17,8 +20,7 @@ export function openLink({ onHello, onFrame, onSilence }) {
   }
 
   function open() {
-    const scheme = location.protocol === "https:" ? "wss" : "ws";
-    socket = new WebSocket(`${scheme}://${location.host}/frames`);
+    socket = new WebSocket(CHANNEL);
     socket.onmessage = (event) => {
       const message = JSON.parse(event.data);
       heard = performance.now();
@@ -59,11 +61,10 @@ async function probe() {
 
 // Return the message for a fault.
 export function explain(fault) {
-  const channel = `ws${location.protocol === "https:" ? "s" : ""}://${location.host}/frames`;
   return {
-    websocket: `No data: the dashboard answers over HTTP, but the WebSocket ${channel} does not stay open. A proxy must forward WebSocket upgrades. Reconnecting.`,
+    websocket: `No data: the dashboard answers over HTTP, but the WebSocket ${CHANNEL} does not stay open. A proxy must forward WebSocket upgrades. Reconnecting.`,
     rejected: "The dashboard no longer accepts this page. Reload it with the current token.",
     silent: "The dashboard process does not answer. Reconnecting.",
-    still: `No data, although the WebSocket ${channel} is open. Waiting for the dashboard.`,
+    still: `No data, although the WebSocket ${CHANNEL} is open. Waiting for the dashboard.`,
   }[fault];
 }

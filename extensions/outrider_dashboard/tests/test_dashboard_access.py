@@ -2,6 +2,7 @@
 
 import contextlib
 import http.client
+import re
 import resource
 import socket
 import subprocess
@@ -17,7 +18,14 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from bus.errors import ScenarioError
-from outrider_dashboard.address import address_of, choose_token, open_socket
+from outrider_dashboard.address import (
+    Access,
+    address_among,
+    address_of,
+    choose_token,
+    open_socket,
+    trusted_proxies,
+)
 from outrider_dashboard.app import application
 from outrider_dashboard.hub import Hub
 from outrider_dashboard.page_guard import MAX_PENDING, Guard
@@ -34,9 +42,9 @@ FIXED = {
 }
 
 
-def guarded(token: str) -> TestClient:
-    app = Guard(PlainTextResponse("the page"), token)
-    return TestClient(app, base_url=HERE, follow_redirects=False)
+def guarded(token: str, client: str = "127.0.0.1") -> TestClient:
+    app = Guard(PlainTextResponse("the page"), Access(token))
+    return TestClient(app, base_url=HERE, follow_redirects=False, client=(client, 50000))
 
 
 def opened(token: str) -> TestClient:
@@ -109,6 +117,55 @@ def test_the_token_opens_the_page_and_leaves_the_address() -> None:
     assert browser.get("/").status_code == 200
 
 
+@pytest.mark.parametrize(
+    "others",
+    ["", 'a="\\a"; ', "a; =; b=c=d;", "outrider_8080=other; "],
+    ids=["alone", "quoted", "malformed", "of another path"],
+)
+def test_our_cookie_is_found_among_others(others: str) -> None:
+    browser = guarded(TOKEN)
+    own = browser.get(f"/?a&token=&token={TOKEN}&b").headers["set-cookie"].partition(";")[0]
+    browser.cookies.clear()
+    for cookies in (f"{others}{own}", f"{own}; {others}"):
+        assert browser.get("/", headers={"Cookie": cookies}).status_code == 200
+    for wrong in (f"x{own}", f"{own}x", f'a="{own}"', others):
+        assert browser.get("/", headers={"Cookie": wrong}).status_code == 401
+
+
+BEHIND = {"X-Forwarded-Prefix": "/lab/outrider/", "X-Forwarded-Proto": "https"}
+
+
+@pytest.mark.parametrize(
+    ("client", "headers", "location", "secure"),
+    [
+        ("127.0.0.1", BEHIND, "/lab/outrider/", True),
+        ("127.0.0.1", {"X-Forwarded-Prefix": "/lab"}, "/lab/", False),
+        ("127.0.0.1", {"X-Forwarded-Proto": "https, http"}, "/", True),
+        ("127.0.0.1", {"X-Forwarded-Prefix": "//elsewhere.example"}, "/", False),
+        ("127.0.0.1", {"X-Forwarded-Prefix": '/"><script>'}, "/", False),
+        ("192.0.2.7", BEHIND, "/", False),
+    ],
+)
+def test_only_a_trusted_proxy_sets_path_and_tls(
+    client: str, headers: dict[str, str], location: str, *, secure: bool
+) -> None:
+    answer = guarded(TOKEN, client).get(f"/?token={TOKEN}", headers=headers)
+    assert answer.headers["location"] == location
+    cookie = answer.headers["set-cookie"].split("; ")
+    assert ("Secure" in cookie) is secure
+    assert f"Path={location.rstrip('/') or '/'}" in cookie
+
+
+def test_proxies_are_local_ones_and_those_named() -> None:
+    trusted = trusted_proxies("192.0.2.7, 172.16.0.0/12")
+    for host in ("127.0.0.1", "::1", "::ffff:192.0.2.7", "192.0.2.7", "172.18.0.1"):
+        assert address_among(host, trusted)
+    for host in ("192.0.2.8", "2001:db8::1", "localhost", ""):
+        assert not address_among(host, trusted)
+    with pytest.raises(ScenarioError, match=r"--proxy proxy\.example"):
+        trusted_proxies("proxy.example")
+
+
 def test_a_cookie_ends_with_its_server() -> None:
     cookie = guarded(TOKEN).get(f"/?token={TOKEN}").headers["set-cookie"].partition(";")[0]
     assert guarded(TOKEN).get("/", headers={"Cookie": cookie}).status_code == 401
@@ -179,14 +236,20 @@ class Silence:
 
 
 def test_the_page_and_its_files_are_served() -> None:
-    app = application(Hub(Silence()), TOKEN, controls=None, ready=lambda: None)
-    with TestClient(app, base_url=HERE) as browser:
+    app = application(Hub(Silence()), Access(TOKEN), controls=None, ready=lambda: None)
+    with TestClient(app, base_url=HERE, client=("127.0.0.1", 50000)) as browser:
         page = browser.get(f"/?token={TOKEN}")
         assert page.status_code == 200
         for file in ("/static/colors.css", "/static/dashboard.css", "/static/main.js"):
-            assert file in page.text
+            assert f'"{file}"' in page.text
             assert browser.get(file).status_code == 200
         assert FIXED.items() <= dict(page.headers).items()
+        # Behind a proxy under a path of its own, which it removes from each request.
+        page = browser.get("/", headers={"X-Forwarded-Prefix": "/lab"})
+        links = re.findall(r'(?:src|href)="(/[^"]*)"|url\("(/[^"]*)"\)', page.text)
+        assert len(links) > 5
+        assert all(any(one.startswith("/lab/") for one in link) for link in links)
+        assert f"{browser.get('/').text.count('/lab')}" == "0"
 
 
 # A real server with at most 1,024 open files, and clients without the token
@@ -196,7 +259,7 @@ import resource, socket, sys
 resource.setrlimit(resource.RLIMIT_NOFILE, (1024, 1024))
 from starlette.responses import PlainTextResponse
 from outrider_dashboard import page_guard
-from outrider_dashboard.address import open_socket
+from outrider_dashboard.address import Access, open_socket
 from outrider_dashboard.app import web_server
 page_guard.HEAD_TIMEOUT = float(sys.argv[2])
 
@@ -210,7 +273,7 @@ async def app(scope, receive, send):
         await PlainTextResponse("the page")(scope, receive, send)
 
 listening = open_socket("127.0.0.1", int(sys.argv[1]))
-web_server(page_guard.Guard(app, "the-token-of-this-test")).run(sockets=[listening])
+web_server(page_guard.Guard(app, Access("the-token-of-this-test"))).run(sockets=[listening])
 """
 
 
@@ -293,6 +356,19 @@ def test_large_head_costs_no_time_or_memory(server: Served, header: bytes) -> No
         assert server.peak() - before < 10.0
 
 
+@pytest.mark.parametrize(
+    "head",
+    [b'/ HTTP/1.1\r\nCookie: a="' + rb"\a" * 8_000 + b'"', b"/?" + b"a=&" * 5_000 + b" HTTP/1.1"],
+    ids=["cookie", "query"],
+)
+def test_thirty_hostile_heads_do_not_delay_a_user(server: Served, head: bytes) -> None:
+    with contextlib.ExitStack() as stack:
+        for _ in range(30):
+            attack = stack.enter_context(server.connect())
+            attack.sendall(b"GET " + head + b"\r\nHost: 127.0.0.1\r\n\r\n")
+        assert server.status(f"/?token={TOKEN}") == 303
+
+
 def test_idle_connections_keep_no_new_user_out(server: Served) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
@@ -306,7 +382,19 @@ def test_idle_connections_keep_no_new_user_out(server: Served) -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
-@pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nA: "])
+UPGRADE = b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+"""Headers of a request for a WebSocket, which uvicorn parses before the guard."""
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        b"",
+        b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nA: ",
+        b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n" + UPGRADE + b"A: " + b"b" * 9_000 + b"\r\n\r\n",
+    ],
+    ids=["nothing", "a part", "a WebSocket's long line"],
+)
 def test_a_head_that_does_not_come_ends_its_connection(hasty_server: Served, sent: bytes) -> None:
     with hasty_server.connect() as slow:
         slow.sendall(sent)
