@@ -16,6 +16,8 @@ print(clip_norm(0.0, 4.0, 1.0)[1], sum(clip_norm.stats.cache_hits.values()))
 """
 """Compile one function, or load it from the cache."""
 COMPILED, LOADED = "1.0 0\n", "1.0 1\n"
+WHOLE = {"PYTHONDONTWRITEBYTECODE": "1"}
+"""Environment of a process whose files are limited: Python would truncate the bytecode of modules that it imports."""
 
 
 def used(folder: Path) -> tuple[str, str]:
@@ -99,7 +101,7 @@ def test_a_process_trusts_the_files_of_one_that_lives(cache: Path) -> None:
 
 def test_a_limit_on_files_disables_the_cache(tmp_path: Path) -> None:
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))\n"
-    done = python(limit + USE, env=os.environ | {"OUTRIDER_CACHE": str(tmp_path)})
+    done = python(limit + USE, env=os.environ | WHOLE | {"OUTRIDER_CACHE": str(tmp_path)})
     assert done.stdout == COMPILED
     (line,) = done.stderr.splitlines()
     assert f"no compile cache ({tmp_path}" in line
@@ -116,7 +118,7 @@ def test_a_disk_that_fills_up_is_one_line(tmp_path: Path) -> None:
         "from outrider.cli.main import main\n"
         "main()\n"
     )
-    done = python(code, env=os.environ | {"OUTRIDER_CACHE": str(tmp_path)}, check=False)
+    done = python(code, env=os.environ | WHOLE | {"OUTRIDER_CACHE": str(tmp_path)}, check=False)
     (line,) = done.stderr.splitlines()
     assert (done.returncode, done.stdout) == (1, "")
     assert line.startswith(f"outrider: compile cache {tmp_path}")
