@@ -5,7 +5,10 @@ import sysconfig
 import traceback
 
 _ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-_OURS = tuple(os.path.join(_ROOT, name) + os.sep for name in ("agents", "bus", "outrider", "sim"))
+_OURS = tuple(
+    os.path.join(_ROOT, name) + os.sep
+    for name in ("agents", "bus", "extensions", "outrider", "sim")
+)
 _LIBRARIES = tuple(
     os.path.realpath(sysconfig.get_path(name)) + os.sep
     for name in ("stdlib", "platstdlib", "purelib", "platlib")

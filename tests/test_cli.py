@@ -1,6 +1,7 @@
 """The command line: help with examples, one clear line for bad input, one JSON object on request."""
 
 import json
+import os
 import re
 import sys
 from importlib.metadata import PackageNotFoundError
@@ -11,6 +12,7 @@ from bus import plugins
 from bus.locator import Locator
 from bus.plugins import registered
 from outrider.cli.main import COMMANDS
+from processes import outrider
 from tabular import rows, words
 
 GROUPS = {"scenarios", "network", "fmu"}
@@ -123,6 +125,7 @@ no address of this machine | router --listen tcp/192.0.2.1:17447 --insecure | tc
 no address of this machine, MAVLink | mavlink --in udpin:192.0.2.1:14550 --insecure | 192.0.2.1:14550: Cannot assign
 a file in the folder's place | run --out taken | taken
 a file in the sweep's place | sweep escort --set duration=5 --out taken | taken
+a file in the place of falsify's folder | falsify --out taken/found.toml | taken: File exists
 policy that raises | suite --uav-policy json:loads --only paper | --uav-policy json:loads: TypeError
 policy that gives no action | suite --uav-policy math:fsum --only paper | --uav-policy math:fsum:
 """)
@@ -193,6 +196,43 @@ def test_a_missing_extra_is_one_line_that_says_what_to_install(
     (line,) = run.stderr.splitlines()
     assert package in line
     assert f"-e '.[{extra}]'" in line
+
+
+@pytest.mark.parametrize(
+    ("variable", "phrase", "code"),
+    [
+        ("NUMBA_DISABLE_JIT=1", "Outrider needs compiled code; allowed: 0", 2),
+        ("NUMBA_NUM_THREADS=0", "Number of threads specified must be > 0", 1),
+    ],
+)
+def test_an_unusable_switch_of_numba_is_one_line(variable: str, phrase: str, code: int) -> None:
+    name, _, value = variable.partition("=")
+    run = outrider("check", "escort", env=os.environ | {name: value})
+    (line,) = run.stderr.splitlines()
+    assert (run.returncode, run.stdout) == (code, "")
+    assert name in line
+    assert phrase in line
+
+
+def test_ctrl_c_during_the_imports_is_one_line(tmp_path) -> None:
+    text = "import os, signal; os.kill(os.getpid(), signal.SIGINT)"
+    (tmp_path / "typer.py").write_text(text, encoding="utf-8")
+    path = os.pathsep.join((str(tmp_path), os.environ.get("PYTHONPATH", "")))
+    run = outrider("check", "escort", env=os.environ | {"PYTHONPATH": path})
+    assert (run.returncode, run.stdout, run.stderr) == (130, "", "outrider: interrupted\n")
+
+
+def test_a_file_name_that_is_no_text_is_one_line(here, command) -> None:
+    run = command(*words("run --duration 1 --out"), "r\udcff")
+    (line,) = run.stderr.splitlines()
+    assert (run.returncode, "not encoded in UTF-8" in line) == (2, True)
+
+
+def test_an_ascii_terminal_shows_every_table() -> None:
+    ascii_only = {"LC_ALL": "C", "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"}
+    run = outrider("doctor", env=os.environ | ascii_only | {"PYTHONCOERCECLOCALE": "0"})
+    assert (run.returncode, run.stderr) == (0, "")
+    assert run.stdout.isascii()
 
 
 def test_a_run_leaves_its_files_and_prints_one_json_object(tmp_path, command):

@@ -418,6 +418,27 @@ def test_a_folder_with_other_files_is_left_alone_even_by_fresh(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"columns": {"run": "no type"}},
+        {"columns": {"run": "int64"}},
+        {"sweep": {"block": [{"name": "a", "vary": {"nowhere": [1]}}]}},
+        {"command": None},
+        b'{"a":' * 100_000,
+        b"\xff",
+    ],
+)
+def test_a_hostile_head_is_one_line(tmp_path, change):
+    with SweepFolder(tmp_path / "sweep", plan_of(), command=""):
+        pass
+    head = tmp_path / "sweep" / "sweep.json"
+    known = json.loads(head.read_text(encoding="utf-8"))
+    head.write_bytes(change if isinstance(change, bytes) else json.dumps(known | change).encode())
+    with refused(ScenarioError, r"sweep\.json: damaged: .*; start again with --fresh"):
+        read_head(tmp_path / "sweep")
+
+
 @pytest.mark.parametrize("content", [b"", b"PAR1 and then nothing", "another table"])
 def test_a_damaged_part_is_named_with_what_to_do(tmp_path, content):
     import pyarrow as pa

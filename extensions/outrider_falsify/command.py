@@ -1,6 +1,7 @@
 """`outrider falsify`: search for runs that violate the visibility guarantee."""
 
 import shlex
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from bus.errors import PeerLost
+from bus.files import writing
 from bus.plugins import require
 from bus.registry import LAWS
 from outrider.cli.options import AllowCode, Json, ScenarioName, Set
@@ -138,7 +140,9 @@ def _check_out(out: Path | None) -> None:
         return
     if out.is_dir():
         raise typer.BadParameter(f"--out {out}: is a folder; allowed: a file")
-    out.parent.mkdir(parents=True, exist_ok=True)
+    with writing(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=out.parent).close()
 
 
 def _check_control(given: bool, law: str | None, engine: str | None, *, altitude: bool) -> None:

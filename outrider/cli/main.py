@@ -27,6 +27,7 @@ from bus.errors import (
 )
 from outrider.cli.options import help_without_command
 from outrider.cli.standard_files import open_standard_files, print_text
+from outrider.cli.start import INTERRUPTED
 from sim.input.faults import one_line
 
 COMMANDS = {
@@ -64,7 +65,6 @@ _FORWARD = {
     "ignore_unknown_options": True,
 }
 _DEBUG = "OUTRIDER_DEBUG"
-_INTERRUPTED = 130
 _MORE = "--debug shows the full traceback"
 
 
@@ -152,6 +152,15 @@ def call_command(name: str, arguments: list[str]) -> Any:  # noqa: ANN401 - an e
 def _call(found: Any, program: str, arguments: list[str]) -> Any:  # noqa: ANN401 - a function or an app
     command = _as_command(found, program.rpartition(" ")[2])
     return command(args=arguments, prog_name=program, standalone_mode=False)
+
+
+def _numba_fault(error: BaseException) -> str:
+    """Describe an error that numba raises when imported with its variables; empty if the error is another one."""
+    given = [name for name in os.environ if name.startswith("NUMBA_")]
+    frames = traceback.extract_tb(error.__traceback__)
+    if not given or f"{os.sep}numba{os.sep}" not in frames[-1].filename:
+        return ""
+    return f"numba: {error}; unset {', '.join(given)}"
 
 
 def _as_command(found: Any, name: str) -> Any:  # noqa: ANN401 - click's, by version of typer
@@ -250,13 +259,18 @@ def _run() -> int:
     except OSError as error:
         _show_traceback()
         return _fail(_system_fault(error), 1)
+    except (
+        UnicodeEncodeError
+    ) as error:  # a word of the command line that is no text, such as a file's name
+        _show_traceback()
+        return _fail(f"{error.object}: not encoded in UTF-8; allowed: UTF-8", 2)
     except (KeyboardInterrupt, _Interrupted):
-        return _fail("interrupted", _INTERRUPTED)
+        return _fail("interrupted", INTERRUPTED)
     except Exception as error:
         # typer's own errors, independent of its version of click
         format_message = getattr(error, "format_message", None)
         if format_message is None:
-            if fault := _cache_fault(error):
+            if fault := _cache_fault(error) or _numba_fault(error):
                 _show_traceback()
                 return _fail(fault, 1)
             if not place_in_user_code(error):

@@ -75,6 +75,7 @@ class Child:
         self._log = log
         self._on_warning = on_warning
         self._tail: deque[str] = deque(maxlen=_TAIL)
+        first = msgspec.json.encode(start) + b"\n"  # may fail: before there is a process
         self._process = subprocess.Popen(
             outrider_command(*arguments, "--child"),
             stdin=subprocess.PIPE,
@@ -83,7 +84,7 @@ class Child:
             env=child_environment(companion=companion),
             start_new_session=True,  # Ctrl-C reaches only this process, which ends the children in order
         )
-        self._send(msgspec.json.encode(start) + b"\n")
+        self._send(first)
         self._readers: list[threading.Thread] = []
         self._read_with(self._listen, self._process.stderr)
         if lines is not None:

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bus import plugins
+from bus.errors import ScenarioError
 from bus.registry import DRIVERS, LAWS, SENSORS
 from sim.compiling.cache import failure_in_numba, open_cache
 
@@ -134,7 +135,13 @@ def constant(value: int) -> int:
 
 
 def _compile(function: _F, **options: Any) -> _F:  # noqa: ANN401 - numba's options
-    """Compile without `fastmath`: results must not depend on the caller."""
+    """Compile without `fastmath`: results must not depend on the caller.
+
+    Raises:
+        ScenarioError: If numba's compiler is disabled; records have no fields in plain Python.
+    """
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        raise ScenarioError("NUMBA_DISABLE_JIT = 1: Outrider needs compiled code; allowed: 0")
     cached = cache_folder() is not None
     return cast("_F", numba.njit(cache=cached, error_model="numpy", **options)(function))
 

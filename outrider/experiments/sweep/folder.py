@@ -19,6 +19,7 @@ from bus.errors import ScenarioError
 from bus.files import UNFINISHED, read_regular, write_whole
 from outrider.experiments.sweep.definition import Sweep
 from outrider.experiments.sweep.plan import MOST_RUNS, SweepPlan
+from sim.input.faults import one_line
 
 HEAD = "sweep.json"
 FILE = "sweep.toml"
@@ -52,13 +53,20 @@ def read_head(folder: Path) -> SweepHead | None:
         ScenarioError: If the head is damaged.
     """
     try:
-        return msgspec.json.decode(read_regular(folder / HEAD, _MOST_HEAD), type=SweepHead)
+        head = msgspec.json.decode(read_regular(folder / HEAD, _MOST_HEAD), type=SweepHead)
+        schema_of(head.columns)
     except FileNotFoundError:
         return None
-    except msgspec.MsgspecError as error:
-        raise ScenarioError(
-            f"{folder / HEAD}: damaged: {error}; start again with --fresh"
-        ) from error
+    except (msgspec.MsgspecError, RecursionError, ValueError) as error:
+        raise _damaged(folder, str(error)) from error
+    varied = {field for block in head.sweep.block for field in block.vary}
+    if varied - head.columns.keys():
+        raise _damaged(folder, f"no column {min(varied - head.columns.keys())!r}")
+    return head
+
+
+def _damaged(folder: Path, why: str) -> ScenarioError:
+    return ScenarioError(f"{folder / HEAD}: damaged: {one_line(why)}; start again with --fresh")
 
 
 def _write_table(path: Path, table: pa.Table) -> None:
