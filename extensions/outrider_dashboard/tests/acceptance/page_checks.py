@@ -1,9 +1,11 @@
-"""Checks of the page with several pairs, at the end of a run, and behind a proxy without WebSockets."""
+"""Checks of the page with several pairs, at the end of a run, and behind proxies."""
 
 import contextlib
 import http.client
 import http.server
 import re
+import socket
+import socketserver
 import subprocess
 import threading
 import time
@@ -268,3 +270,78 @@ def check_proxy(context: Any, port: int) -> str:
     if blamed or re.search("router|simulator", line):
         raise Failed(f"other processes are blamed: {line!r}")
     return line.partition(":")[0]
+
+
+_PATH = "/lab"
+
+
+class _Relay(socketserver.BaseRequestHandler):
+    """Connection of a proxy that serves the page under a path, like nginx with `proxy_pass http://127.0.0.1:8080/;`."""
+
+    upstream = 0
+    """Port of the page."""
+
+    def handle(self) -> None:
+        """Change the head of one request, then pass everything on."""
+        head = b""
+        while b"\r\n\r\n" not in head:
+            part = self.request.recv(1 << 16)
+            if not part:
+                return
+            head += part
+        first, *headers = head.split(b"\r\n")
+        if not first.partition(b" ")[2].startswith(f"{_PATH}/".encode()):
+            self.request.sendall(b"HTTP/1.1 404 Not Found\r\nConnection: close\r\n\r\n")
+            return
+        first = first.replace(_PATH.encode(), b"", 1)
+        added = [b"X-Forwarded-Prefix: " + _PATH.encode(), b"X-Forwarded-Proto: http"]
+        if b"upgrade: websocket" not in head.lower():
+            headers = [one for one in headers if not one.lower().startswith(b"connection:")]
+            added.append(b"Connection: close")
+        with socket.create_connection(("127.0.0.1", self.upstream)) as upstream:
+            upstream.sendall(b"\r\n".join([first, *added, *headers]))
+            sending = threading.Thread(target=_pass_on, args=(self.request, upstream), daemon=True)
+            sending.start()
+            _pass_on(upstream, self.request)
+        with contextlib.suppress(OSError):
+            self.request.shutdown(socket.SHUT_RDWR)
+        sending.join()
+
+
+def _pass_on(source: socket.socket, target: socket.socket) -> None:
+    with contextlib.suppress(OSError):
+        while part := source.recv(1 << 16):
+            target.sendall(part)
+
+
+class _Server(socketserver.ThreadingTCPServer):
+    daemon_threads = True
+
+
+def check_sub_path(browser: Any, port: int, token: str) -> str:
+    """Check that a proxy can serve the page under a path of its own, with WebSockets and controls."""
+    relay = type("Relay", (_Relay,), {"upstream": port})
+    with _Server(("127.0.0.1", 0), relay) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        context = browser.new_context()
+        page, paths, faults = context.new_page(), [], []
+        page.on("request", lambda one: paths.append(one.url))
+        page.on("response", lambda one: faults.append(one.url) if one.status >= 400 else None)
+        page.on("pageerror", lambda one: faults.append(str(one)))
+        here = f"http://127.0.0.1:{server.server_address[1]}{_PATH}/"
+        page.goto(f"{here}?token={token}")
+        for script, what in (
+            ("document.querySelector('.side .q-btn') && true", "the page is built under a path"),
+            ("window.outrider && outrider.stats.frames > 5", "frames arrive under a path"),
+        ):
+            wait_until(lambda script=script: page.evaluate(f"() => ({script})"), what)
+        if page.url != here:
+            raise Failed(f"the page is at {page.url}")
+        page.close()
+        context.close()
+        server.shutdown()
+    if faults:
+        raise Failed(f"faults under a path: {faults[:3]}")
+    if outside := [one for one in paths if not one.startswith((here, "data:", "blob:"))]:
+        raise Failed(f"requests outside the path: {outside[:3]}")
+    return f"{len(paths)} requests, all under {_PATH}"
