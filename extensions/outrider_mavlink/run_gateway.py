@@ -8,6 +8,7 @@ from bus.messages.base import Message, Vector
 from bus.messages.control import Action, Control
 from bus.messages.scenario import Law, Limits
 from bus.messages.telemetry import Status, Truth
+from bus.numbers import above, exact
 from bus.registry import LAWS, TELEOP
 from outrider.view.operator import Helm, RunClient
 from outrider_mavlink.dialect import MavMessage
@@ -97,7 +98,7 @@ class RunGateway(Gateway):
             why = (
                 "hidden by a building"
                 if sight.hidden
-                else f"out of sight: distance {sight.distance:.2f} m, r_v {sight.radius:.4g} m"
+                else f"out of sight: distance {above(sight.distance, sight.radius)} m, r_v {exact(sight.radius)} m"
             )
             self._report_problem(
                 escort.uav,
