@@ -24,6 +24,7 @@ from bus.errors import (
     ScenarioError,
     error_with_place,
     place_in_user_code,
+    shortened,
 )
 from outrider.cli.options import help_without_command
 from outrider.cli.standard_files import open_standard_files, print_text
@@ -64,6 +65,8 @@ _FORWARD = {
     "allow_interspersed_args": False,  # otherwise typer drops a `--` of the command
     "ignore_unknown_options": True,
 }
+_STRICT = ("strict", "surrogateescape")
+"""Error handlers of terminals, the second in the C locale, that fail on a character which the terminal cannot show."""
 _DEBUG = "OUTRIDER_DEBUG"
 _MORE = "--debug shows the full traceback"
 
@@ -263,7 +266,7 @@ def _run() -> int:
         UnicodeEncodeError
     ) as error:  # a word of the command line that is no text, such as a file's name
         _show_traceback()
-        return _fail(f"{error.object}: not encoded in UTF-8; allowed: UTF-8", 2)
+        return _fail(f"{shortened(error.object)}: not encoded in UTF-8; allowed: UTF-8", 2)
     except (KeyboardInterrupt, _Interrupted):
         return _fail("interrupted", INTERRUPTED)
     except Exception as error:
@@ -293,7 +296,7 @@ def run_command_line() -> int:
         sys.stdout,
         sys.stderr,
     ):  # a character that the terminal cannot show is not an error
-        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+        if isinstance(stream, io.TextIOWrapper) and stream.errors in _STRICT:
             with contextlib.suppress(OSError):  # a child's pipe
                 stream.reconfigure(errors="replace")
     logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
