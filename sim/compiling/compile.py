@@ -110,8 +110,9 @@ def _cache_of(_rows: tuple[tuple[str, str], ...]) -> Cache:
         removed = open_cache(folder)
         _remove_old(folder.parent)
     except (OSError, RuntimeError) as error:  # RuntimeError: this user has no home folder
-        named = isinstance(error, OSError) and error.filename is not None
-        fault = f"{error.filename}: {error.strerror}" if named else str(error)
+        fault = str(error)
+        if isinstance(error, OSError) and error.filename is not None:
+            fault = f"{error.filename}: {error.strerror}"
         _LOG.warning(
             "no compile cache (%s): every start compiles for about a minute; set OUTRIDER_CACHE to a writable folder",
             fault,
