@@ -84,9 +84,13 @@ def test_failed_run_leaves_no_new_empty_folder(here, command):
     assert there == ["mine"]
 
 
-def test_runs_of_the_same_second_get_folders_of_their_own(here):
+def test_runs_of_the_same_second_get_folders_of_their_own(here, monkeypatch):
     with ExitStack() as stack:
-        folders = [stack.enter_context(output_folder(None, "escort")) for _ in range(5)]
+        with (
+            monkeypatch.context() as blind
+        ):  # every other run creates its folder after this one's look
+            blind.setattr(Path, "exists", lambda _path, **_: False)
+            folders = [stack.enter_context(output_folder(None, "escort")) for _ in range(5)]
         assert len(set(folders)) == 5
         assert all(folder.is_dir() for folder in folders)
         (folders[2] / "summary.json").write_text("{}")

@@ -32,6 +32,7 @@ from outrider_fmi.world_unit import WorldUnit
 from refusals import refused
 from sim.compiling.compile import FloatArray
 from sim.engine.briefing import briefing
+from sim.models.camera import visibility_radius_at
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
@@ -174,7 +175,7 @@ def test_the_worlds_unit_loses_sight_where_the_run_does_at_low_altitude() -> Non
 
 @pytest.mark.parametrize(
     "changes",
-    [(), ("uav.0.initial_altitude=12.0", "detections.noise=0.05")],
+    [(), ("uav.0.initial_altitude=14.0", "altitude.law=best", "detections.noise=0.05")],
     ids=["plane", "space"],
 )
 def test_the_pilots_unit_answers_what_the_runs_pilot_answers(changes: tuple[str, ...]) -> None:
@@ -205,7 +206,9 @@ def test_the_pilots_unit_answers_what_the_runs_pilot_answers(changes: tuple[str,
         decision = None if report is None else report.decision
         if decision is not None and decision.certified_distance is not None:
             assert got["certified"] == decision.certified
-            assert got["margin"] == flown.visibility.radius - decision.certified_distance
+            tangent, z = math.tan(flown.camera.half_angle), seen.altitude or math.inf
+            visible = visibility_radius_at(flown.visibility.radius, tangent, 0.0, z)
+            assert got["margin"] == visible - decision.certified_distance
             assert (got["estimate.x"], got["estimate.y"]) == report.estimate
             certified += got["certified"]
         assert got["radio.new"] == bool(command.radio)
