@@ -1,7 +1,7 @@
 """Maps and markers of a run as ROS 2 messages."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bus.messages.base import Vector
+from bus.messages.buildings import Building
 from bus.messages.ground import GroundMap
 from bus.messages.telemetry import CoverageMap, Truth
 from outrider_ros2.conversion import MAP, base_link, header, point_at, pose_at, stamp, vector
@@ -163,9 +164,8 @@ def _circle(radius: float, center: Vector = (0.0, 0.0)) -> list[Vector]:
     return [(x + radius * math.cos(angle), y + radius * math.sin(angle)) for angle in angles]
 
 
-def buildings(view: RunView) -> RosMessage:
-    """Return solid markers for the buildings, the taller the darker; None without buildings."""
-    found = view.scene.space.buildings
+def buildings(found: Sequence[Building]) -> RosMessage:
+    """Return solid markers for buildings, the taller the darker; None without buildings."""
     markers = [
         marker(
             frame=MAP,

@@ -13,6 +13,7 @@ import msgspec
 from bus.errors import PeerLost
 from bus.keys import Party, Role
 from bus.messages.base import Message
+from bus.messages.buildings import Building
 from bus.messages.vehicle import (
     Briefing,
     Command,
@@ -24,11 +25,13 @@ from bus.messages.vehicle import (
 from outrider.running.refused import Refusals, Refused
 from outrider_ros2.conversion import MAP, base_link, detection, odometry, stamp
 from outrider_ros2.interfaces import RosMessage, decode_checked, encode, make
+from outrider_ros2.pictures import buildings
 from outrider_ros2.roles import NO_HASH
 from outrider_ros2.ros_node import RosNode, RosPublisher, log_refused
 from outrider_ros2.topics import (
     BRIEFING,
     OBSERVATION,
+    OWN_BUILDINGS,
     OWN_DETECTION,
     OWN_ODOMETRY,
     PILOT_COMMANDS,
@@ -59,6 +62,7 @@ class RosPilot:
         self._awaited: Observation | None = None
         self._answer: Command | None = None
         self._waits: Callable[[], bool] | None = None
+        self._buildings: tuple[Building, ...] = ()
         self.refusals = Refusals(log_refused)
         self.answered = 0
         """Number of forwarded commands."""
@@ -80,14 +84,23 @@ class RosPilot:
 
     def _send(self, row: TopicRow, message: object) -> None:
         publisher = self._publishers[row.name]
-        if publisher.wanted or row is BRIEFING:
+        if publisher.wanted or row in (BRIEFING, OWN_BUILDINGS):  # for late subscribers
             publisher.send(encode(row.interface, message))
 
     def make(self, briefing: Briefing) -> "RosPilot":
         """Join the run, and publish the briefing."""
         self._waits = None
         self._send(BRIEFING, _text(briefing))
+        self._buildings = ()
+        self._add_buildings(briefing.buildings)
         return self
+
+    def _add_buildings(self, known: tuple[Building, ...]) -> None:
+        """Publish all known buildings if some of these are new."""
+        new = tuple(one for one in known if one not in self._buildings)
+        if new:
+            self._buildings += new
+            self._send(OWN_BUILDINGS, buildings(self._buildings))
 
     def attend(self, waits: Callable[[], bool]) -> None:
         """Wait for the node's answers from now on; earlier observations are in the past.
@@ -109,6 +122,7 @@ class RosPilot:
         name = self._party.name
         height, climb = 0.0, 0.0
         if isinstance(observation, UavObservation):
+            self._add_buildings(observation.buildings)
             height, climb = observation.altitude or 0.0, observation.climb_rate
             for one in observation.detections:
                 self._send(

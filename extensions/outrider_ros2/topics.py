@@ -161,7 +161,7 @@ TOPICS: tuple[TopicRow, ...] = (
         name="buildings",
         interface="visualization_msgs/msg/MarkerArray",
         qos=LATCHED,
-        convert=lambda view, _message, _name: pictures.buildings(view),
+        convert=lambda view, _message, _name: pictures.buildings(view.scene.space.buildings),
         about="Buildings as solid bodies, the taller the darker.",
     ),
     TopicRow(
@@ -232,7 +232,14 @@ OWN_DETECTION = TopicRow(
     interface="geometry_msgs/msg/PointStamped",
     about="Each detection received by the UAV's computer.",
 )
-PILOT_TOPICS = (OBSERVATION, BRIEFING, OWN_ODOMETRY, OWN_DETECTION)
+OWN_BUILDINGS = TopicRow(
+    name=f"{PILOT}/buildings",
+    each=Each.VEHICLE,
+    interface="visualization_msgs/msg/MarkerArray",
+    qos=LATCHED,
+    about="Buildings that the vehicle knows: those of its briefing, and those that a UAV has discovered.",
+)
+PILOT_TOPICS = (OBSERVATION, BRIEFING, OWN_ODOMETRY, OWN_DETECTION, OWN_BUILDINGS)
 """Topics for the node of a vehicle: the vehicle's own information. No other party may read them."""
 PILOT_COMMANDS = (
     TopicRow(

@@ -31,7 +31,8 @@ def main(wanted: list[str]) -> int:
     for name in wanted:
         began = time.monotonic()
         print(f"\n## {name}\n\n| what | found | |\n|---|---|---|", flush=True)
-        environ = os.environ | {"PYTHONPATH": str(FOLDER)}  # for bridge_checks
+        paths = (str(FOLDER), os.environ.get("PYTHONPATH", ""))  # for bridge_checks
+        environ = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
         program = [sys.executable, EXTENSIONS / BRIDGES[name]]
         code = subprocess.run(program, check=False, env=environ).returncode
         failed += code != 0

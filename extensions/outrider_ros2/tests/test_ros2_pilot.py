@@ -16,12 +16,19 @@ from bus.credentials import new_credentials
 from bus.errors import PeerLost
 from bus.joining import open_session
 from bus.keys import Role
+from bus.messages.buildings import Building
 from bus.messages.vehicle import UavBriefing, UavObservation, UgvBriefing, UgvObservation
 from outrider_ros2.conversion import header
 from outrider_ros2.interfaces import decode, encode, make
 from outrider_ros2.ros_node import RosNode
 from outrider_ros2.ros_pilot import RosPilot
-from outrider_ros2.topics import BRIEFING, OBSERVATION, PILOT_COMMANDS, wire_topic
+from outrider_ros2.topics import (
+    BRIEFING,
+    OBSERVATION,
+    OWN_BUILDINGS,
+    PILOT_COMMANDS,
+    wire_topic,
+)
 from outrider_ros2.wire import Attachment
 from processes import wait_until
 from sim.engine.briefing import briefing
@@ -191,3 +198,34 @@ def test_late_node_delays_no_tick_and_lost_node_ends_the_process(
         assert again.act(seen) is None  # from its past, for which nothing waits
         link.close()
         node.close()
+
+
+def test_own_buildings_are_those_briefed_and_discovered(tmp_path: Path) -> None:
+    endpoint = f"unixsock-stream/{tmp_path / 's'}"
+    scenario = load_scenario("courtyard")
+    known = briefing(scenario, "uav_0", 0).buildings
+    hut = Building(polygon=((1.0, 1.0), (2.0, 1.0), (2.0, 2.0)), height=3.0)
+    seen = UavObservation(
+        tick=0, time=0.0, position=(0.0, 0.0), velocity=(0.0, 0.0), altitude=14.0, buildings=(hut,)
+    )
+    counts: list[int] = []
+
+    def count(sample: Any) -> None:
+        counts.append(len(decode(OWN_BUILDINGS.interface, sample.payload.to_bytes()).markers))
+
+    with open_session(PLAIN.of("uav_0").party, "run", listen=(endpoint,)) as opened:
+        node = RosNode(opened, domain=3, name="outrider")
+        link = RosPilot(node, PLAIN.of("uav_0").party)
+        foreign = raw_session(endpoint, None)
+        own = foreign.declare_subscriber(key_of(OWN_BUILDINGS, "uav_0"), count)
+        link.make(briefing(scenario, "uav_0", 0))
+        for _ in range(2):  # an observation is repeated for a node that joins late
+            link.perceive(seen)
+        link.make(briefing(scenario, "uav_0", 0))
+        wait_until(lambda: len(counts) >= 3)
+        own.undeclare()
+        foreign.close()
+        link.close()
+        node.close()
+    assert known
+    assert counts == [len(known), len(known) + 1, len(known)]

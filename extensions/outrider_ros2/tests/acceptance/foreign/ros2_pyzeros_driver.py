@@ -24,13 +24,19 @@ async def main() -> None:
     first = await asyncio.wait_for(odometry.wait_for_value(), 30.0)
     twist = TwistStamped()
     twist.twist.linear.x = SPEED
+
+    async def drive() -> None:
+        while True:  # a UGV brakes if its next velocity is late, as while the odometry is awaited
+            driver.publish(twist)
+            await asyncio.sleep(0.05)
+
+    driving = asyncio.create_task(drive())
     limit, reached, last = time.monotonic() + 30.0, False, first
     while time.monotonic() < limit and not reached:
-        driver.publish(twist)
-        await asyncio.sleep(0.05)
         last = await asyncio.wait_for(odometry.wait_for_value(), 5.0)
         v = last.twist.twist.linear
         reached = abs(v.x - SPEED) < 0.02 and abs(v.y) < 0.02
+    driving.cancel()
     before, now = first.twist.twist.linear, last.twist.twist.linear
     found = {
         "before": [float(before.x), float(before.y)],
