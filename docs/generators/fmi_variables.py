@@ -5,6 +5,7 @@ from structs import cell
 from outrider_fmi.variables import (
     ACCELERATION,
     ALTITUDE,
+    BUILDINGS,
     DRIVER_INPUTS,
     OPERATOR,
     OWN_STATE,
@@ -22,6 +23,7 @@ Rows = tuple[tuple[str, tuple[Variable, ...]], ...]
 PILOTS: Rows = (
     ("`uav`: in", UAV_INPUTS),
     ("`uav`: in, with an altitude", ALTITUDE),
+    ("`uav`: in, in scenarios with buildings", BUILDINGS),
     ("`uav`: out", UAV_OUTPUTS),
     ("`uav`: out, with an altitude", VERTICAL),
     ("`ugv`: in", OWN_STATE),
@@ -42,7 +44,8 @@ def _table(rows: Rows) -> str:
     lines = ["| group | variable | type, unit | description |", "|---|---|---|---|"]
     for who, variables in rows:
         for k, one in enumerate(variables):
-            unit = f"Float64, {one.unit}" if one.unit else "Boolean"
+            kind = "String" if one.text else "Boolean"
+            unit = f"Float64, {one.unit}" if one.unit else kind
             lines.append(f"| {who if k == 0 else ''} | `{one.name}` | {unit} | {cell(one.about)} |")
     return "\n".join(lines)
 

@@ -16,7 +16,7 @@ from pythonfmu3 import Fmi3Causality, Fmi3Slave, Fmi3Status, Fmi3Variability
 from pythonfmu3.default_experiment import DefaultExperiment
 from pythonfmu3.fmi3slave import Fmi3StepResult
 from pythonfmu3.unit import Unit
-from pythonfmu3.variables import Boolean, Float64
+from pythonfmu3.variables import Boolean, Float64, String
 
 from outrider_fmi.unit_files import open_unit
 from outrider_fmi.variables import Variable
@@ -45,7 +45,7 @@ class OutriderUnit(Fmi3Slave):  # type: ignore[misc]  # pythonfmu3 has no types
         self.guid = _token(folder)
         self.default_experiment = DefaultExperiment(0.0, unit.duration, unit.dt)
         self.register_units(list(_UNITS))
-        self._values = {one.name: 0.0 if one.unit else False for one in unit.inputs}
+        self._values = {one.name: one.initial for one in unit.inputs}
         self._values |= unit.start()
         self._time = 0.0
         clock = {
@@ -71,7 +71,7 @@ class OutriderUnit(Fmi3Slave):  # type: ignore[misc]  # pythonfmu3 has no types
         made = (
             Float64(one.name, unit=one.unit, **attributes)
             if one.unit
-            else Boolean(one.name, **attributes)
+            else (String if one.text else Boolean)(one.name, **attributes)
         )
         self.register_variable(made, nested=False)
 

@@ -8,8 +8,15 @@ class Variable(NamedTuple):
 
     name: str
     unit: str
-    """Unit; empty for a flag."""
+    """Unit; empty for a flag or a text."""
     about: str
+    text: bool = False
+    """True for a text."""
+
+    @property
+    def initial(self) -> float | str:
+        """Return the value before the first step."""
+        return "" if self.text else 0.0 if self.unit else False
 
 
 def _plane(name: str, unit: str, about: str) -> tuple[Variable, ...]:
@@ -29,6 +36,14 @@ DETECTION = (
     Variable("detection.new", "", "True at a step with a new detection"),
     Variable("detection.time", "s", "Time of the detection: a tick times the step size"),
     *_plane("detection", "m", "UAV relative to UGV as detected, with noise"),
+)
+BUILDINGS = (
+    Variable(
+        "buildings",
+        "",
+        "Buildings discovered in this step, as JSON like `UavObservation.buildings`; empty: none",
+        text=True,
+    ),
 )
 RADIO = (
     Variable("radio.new", "", "True at a step with a message from the UAV to its UGV"),

@@ -7,6 +7,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import msgspec
+
 from agents.laws.selection import SelectedLaw
 from agents.safety.levels import bounds_of, radius_at
 from agents.uav import UavPilot
@@ -14,6 +16,7 @@ from agents.uav_parameters import uav_parameters
 from agents.ugv import UgvPilot
 from bus.errors import ScenarioError
 from bus.messages.base import Vector
+from bus.messages.buildings import Building
 from bus.messages.vehicle import (
     Detection,
     RelativeInformation,
@@ -30,6 +33,7 @@ from bus.ticks import tick_of
 from outrider_fmi.variables import (
     ACCELERATION,
     ALTITUDE,
+    BUILDINGS,
     OPERATOR,
     OWN_STATE,
     RADIO,
@@ -45,8 +49,9 @@ _SHARE = 1e-6
 _LARGEST = 1e6
 """Largest magnitude of a number on the bus."""
 
-Values = Mapping[str, float]
-"""Values of variables by name; flags are true or false."""
+Values = Mapping[str, Any]
+"""Values of variables by name: numbers, flags and texts."""
+_BUILDINGS = msgspec.json.Decoder(tuple[Building, ...])
 
 
 def tick_at(time: float, size: float, dt: float) -> int:
@@ -75,14 +80,26 @@ def pair(values: Values, name: str) -> Vector:
 
 
 def check_inputs(values: Values) -> None:
-    """Check that every input fits into a message on the bus.
+    """Check that every number fits into a message on the bus.
 
     Raises:
         ValueError: If an input is too large or not finite.
     """
     for name, value in values.items():
-        if not abs(value) <= _LARGEST:
+        if not isinstance(value, str) and not abs(value) <= _LARGEST:
             raise ValueError(f"{name} = {exact(value)}; allowed: numbers up to {_LARGEST:g}")
+
+
+def _buildings(text: str) -> tuple[Building, ...]:
+    """Return the buildings in a text, which may be empty.
+
+    Raises:
+        ValueError: If the text has another form.
+    """
+    try:
+        return _BUILDINGS.decode(text) if text else ()
+    except msgspec.DecodeError as error:
+        raise ValueError(f"buildings = {text[:80]!r}: {error}; allowed: a JSON array") from error
 
 
 def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:
@@ -92,10 +109,11 @@ def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:
         ScenarioError: If they do not.
     """
     vehicle = briefing.vehicle
-    if briefing.ground is not None:
+    town = isinstance(briefing, UavBriefing) and briefing.max_building_height is not None
+    if briefing.ground is not None and not town:
         raise ScenarioError(
-            f"{vehicle}: perceives hazards, but units have no variables for tiles; allowed: scenarios without "
-            "[[hazard]], [[hazard_field]], [[building]] and [[building_field]]"
+            f"{vehicle}: perceives hazards, but units have no variables for tiles; allowed: UAVs among buildings, and "
+            "scenarios without [[hazard]], [[hazard_field]], [[building]] and [[building_field]]"
         )
     if isinstance(briefing, UavBriefing):
         SelectedLaw(briefing, briefing.law, uav_parameters(briefing))
@@ -138,7 +156,9 @@ class VehicleUnit:
         if isinstance(briefing, UavBriefing):
             self._pilot = UavPilot(briefing)
             climbs = briefing.altitude is not None
+            discovers = briefing.max_building_height is not None
             self.inputs: tuple[Variable, ...] = UAV_INPUTS + ALTITUDE * climbs
+            self.inputs += BUILDINGS * discovers
             self.outputs: tuple[Variable, ...] = UAV_OUTPUTS + VERTICAL * climbs
             content = f"the UAV's pilot, law {briefing.law.name}"
         else:
@@ -153,7 +173,7 @@ class VehicleUnit:
 
     def start(self) -> dict[str, float]:
         """Return the outputs before the first step."""
-        values = {one.name: 0.0 if one.unit else False for one in self.outputs}
+        values: dict[str, Any] = {one.name: one.initial for one in self.outputs}
         return values | ({"margin": -math.inf} if "margin" in values else {})
 
     def step(self, time: float, size: float, values: Values) -> dict[str, float]:
@@ -186,7 +206,9 @@ class VehicleUnit:
             detections = (Detection(time=values["detection.time"], relative_position=relative),)
         if "altitude" in values:
             own |= {"altitude": values["altitude"], "climb_rate": values["climb_rate"]}
-        seen = UavObservation(**own, detections=detections)
+        seen = UavObservation(
+            **own, detections=detections, buildings=_buildings(values.get("buildings", ""))
+        )
         return self._outputs(pilot.act(seen), seen.altitude)
 
     def _outputs(self, command: UavCommand, altitude: float | None) -> dict[str, float]:

@@ -11,10 +11,12 @@ from importlib.metadata import version
 from pathlib import Path
 
 import fmpy
+import msgspec
 import numpy as np
 import pytest
 from pythonfmu3 import FmuBuilder
 
+from agents.safety.levels import radius_at
 from agents.uav import UavPilot
 from bus.errors import ScenarioError
 from bus.keys import Role
@@ -32,13 +34,13 @@ from outrider_fmi.world_unit import WorldUnit
 from refusals import refused
 from sim.compiling.compile import FloatArray
 from sim.engine.briefing import briefing
-from sim.models.camera import visibility_radius_at
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
 OURS = version("outrider")
 DT = 0.05
+HUT = "building=[{polygon=[[5.0, 5.0], [6.0, 5.0], [6.0, 6.0], [5.0, 6.0]], height=2.0}]"
 SHORT = ["duration=5.0", "ugv.0.goals=[[8.0, 13.0]]"]
 
 THEIRS = """
@@ -174,20 +176,32 @@ def test_the_worlds_unit_loses_sight_where_the_run_does_at_low_altitude() -> Non
 
 
 @pytest.mark.parametrize(
-    "changes",
-    [(), ("uav.0.initial_altitude=14.0", "altitude.law=best", "detections.noise=0.05")],
-    ids=["plane", "space"],
+    ("scenario", "changes"),
+    [
+        ("escort", ()),
+        (
+            "escort",
+            ("uav.0.initial_altitude=14.0", "altitude.law=best", "detections.noise=0.05"),
+        ),
+        ("town", ("building_field=[]", HUT, "buildings.known=false", "ugv.0.building_clearance=1")),
+    ],
+    ids=["plane", "space", "town"],
 )
-def test_the_pilots_unit_answers_what_the_runs_pilot_answers(changes: tuple[str, ...]) -> None:
+def test_the_pilots_unit_answers_what_the_runs_pilot_answers(
+    scenario: str, changes: tuple[str, ...]
+) -> None:
     lossy = ["duration=10.0", "links.detections.loss=0.2", *changes]
-    flown = load_scenario("escort", overrides=lossy)
+    flown = load_scenario(scenario, overrides=lossy)
     own_briefing = briefing(flown, "uav_0", 5)
     unit = VehicleUnit(own_briefing)
-    certified, radioed = 0, 0
+    certified, radioed, discovered = 0, 0, 0
     pilots = make_pilots(flown, 5)
 
+    def visible(altitude: float | None) -> float:
+        return flown.visibility.radius if altitude is None else radius_at(own_briefing, altitude)
+
     def both(seen: UavObservation) -> UavCommand:
-        nonlocal certified, radioed
+        nonlocal certified, radioed, discovered
         command = pilots["uav_0"].act(seen)
         (detection,) = seen.detections or (None,)
         values = every_input(unit, 0.0)
@@ -195,6 +209,9 @@ def test_the_pilots_unit_answers_what_the_runs_pilot_answers(changes: tuple[str,
         values |= zip(("velocity.x", "velocity.y"), seen.velocity, strict=True)
         if changes:
             values |= {"altitude": seen.altitude or 0.0, "climb_rate": seen.climb_rate}
+        if seen.buildings:
+            discovered += len(seen.buildings)
+            values |= {"buildings": msgspec.json.encode(seen.buildings).decode()}
         if detection is not None:
             values |= {"detection.new": True, "detection.time": detection.time}
             values |= zip(("detection.x", "detection.y"), detection.relative_position, strict=True)
@@ -206,9 +223,7 @@ def test_the_pilots_unit_answers_what_the_runs_pilot_answers(changes: tuple[str,
         decision = None if report is None else report.decision
         if decision is not None and decision.certified_distance is not None:
             assert got["certified"] == decision.certified
-            tangent, z = math.tan(flown.camera.half_angle), seen.altitude or math.inf
-            visible = visibility_radius_at(flown.visibility.radius, tangent, 0.0, z)
-            assert got["margin"] == visible - decision.certified_distance
+            assert got["margin"] == visible(seen.altitude) - decision.certified_distance
             assert (got["estimate.x"], got["estimate.y"]) == report.estimate
             certified += got["certified"]
         assert got["radio.new"] == bool(command.radio)
@@ -218,6 +233,7 @@ def test_the_pilots_unit_answers_what_the_runs_pilot_answers(changes: tuple[str,
     Flight(flown, 5).fly(Piloted(pilots, "uav_0", both))
     assert certified > 100
     assert radioed > 10
+    assert (discovered > 0) == (scenario == "town")
 
 
 def test_a_unit_has_what_its_vehicle_may_know_and_nothing_else(units: Path) -> None:
