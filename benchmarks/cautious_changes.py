@@ -5,7 +5,7 @@ python benchmarks/cautious_changes.py NAME
 drivers: 10,000 flights in which an operator and other drivers control the UGV in between, over links that delay, lose
     and reorder commands, and become slower in flight; the UGV may keep a distance from unknown ground.
 mapped: 10,000 flights with a map of buildings among hazards that the UAV misses, so that the UGV stops in blocked
-    tiles; in half of them the drivers change, too.
+    tiles, or starts in one; in half of them the drivers change, too.
 
 Each flight runs the UGV's pilot; ground, receiver and counters are independent of the simulator. An hour each; the
 page shows 2,500 and 1,500 flights.
@@ -359,6 +359,32 @@ def draw_flight(seed: int) -> Flight:
     )
 
 
+def _is_near(flight: Flight, tiles: float) -> bool:
+    """Return whether the start is nearer to a building than the clearance plus this many tiles."""
+    kept = flight.kept + tiles * float(flight.trial.parameters.tile)
+    here = [Motion(*flight.trial.start, 0.0, 0.0)] * 2
+    return bool(_near_house(dataclasses.replace(flight, kept=kept), here).any())
+
+
+def _stranded(flight: Flight, rng: np.random.Generator) -> Flight:
+    """Move the start into a missed hazard, near a building if possible, with other hazards around it."""
+    trial = flight.trial
+    s, truth = float(trial.parameters.tile), trial.truth.copy()
+    for _ in range(50):
+        i, j = (int(rng.integers(n)) for n in truth.shape)
+        x, y = (float((k + rng.random()) * s) for k in (j, i))
+        flight = dataclasses.replace(flight, trial=dataclasses.replace(trial, start=(x, y)))
+        if _is_near(flight, 3.0) and not _is_near(flight, 1.5):
+            break
+    around = truth[max(i - 2, 0) : i + 3, max(j - 2, 0) : j + 3]
+    around[rng.random(around.shape) < 0.9] = BLOCK
+    truth[i, j] = BLOCK
+    reach = 2.5 * s
+    return dataclasses.replace(
+        flight, trial=dataclasses.replace(flight.trial, truth=truth, reach=reach)
+    )
+
+
 def draw_mapped(seed: int) -> Flight:
     """Draw a flight with a map of buildings, among hazards that the UAV misses."""
     rng = np.random.default_rng([seed, 6])
@@ -394,9 +420,9 @@ def draw_mapped(seed: int) -> Flight:
             kept=kept,
             missed=float(rng.choice([0.3, 0.9])),
         )
-        here = [Motion(*trial.start, 0.0, 0.0)] * 2
-        far = dataclasses.replace(flight, kept=kept + 1.5 * s)
-        if not _near_house(far, here).any():
+        if seed % 2:
+            flight = _stranded(flight, rng)
+        if not _is_near(flight, 1.5):
             return flight
 
 
