@@ -146,7 +146,7 @@ def test_check_names_the_lowest_certified_altitude_and_why() -> None:
     brief = uav_briefing(scenario, "uav_0", 0)
     lowest = lowest_certified(brief)
     assert lowest is not None
-    assert f"from {lowest:.2f} m on" in certified_from(brief)
+    assert f"from {math.ceil(100.0 * lowest) / 100.0:.2f} m on" in certified_from(brief)
     assert how_certifiable(scenario) == "always"
     low = load_scenario("town", overrides=["uav.0.min_altitude=1", "uav.0.initial_altitude=6.01"])
     assert how_certifiable(low) == "hardly ever"

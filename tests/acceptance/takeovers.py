@@ -5,6 +5,7 @@ vehicles and of the operator. An operator steers the UGV into the shadow of buil
 other every few seconds, at any speed. shapely judges each tick. A tick counts as certified if the simulator says so.
 """
 
+import logging
 from collections import Counter
 from collections.abc import Iterator
 from typing import Any
@@ -96,6 +97,7 @@ def attack(seed: int, filtered: bool = True) -> Counter[str]:
     """Fly one town, and return its counts. `filtered`: must be True."""
     if not filtered:
         raise ValueError("filtered = False: not possible with takeovers; allowed: True")
+    logging.getLogger("outrider.policy").setLevel(logging.ERROR)  # it may be slow
     rng = np.random.default_rng((seed, 1))
     scenario, shapes, heights = scenario_of(rng)
     flight = Flight(scenario, seed, on_notice=lambda _: None)
