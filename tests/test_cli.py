@@ -264,7 +264,7 @@ def test_lists_are_printed_as_json(command):
 def test_too_fast_circle_warns_and_flies(command) -> None:
     run = command(*words("run circle-too-fast --in-process --no-files --duration 5"))
     assert run.returncode == 0
-    assert "0.1086 rad/s" in " ".join(run.stderr.split())
+    assert "0.108597 rad/s" in " ".join(run.stderr.split())
 
 
 def test_credentials_are_made_once_and_each_party_gets_its_own(here, command) -> None:

@@ -85,6 +85,13 @@ def pair(scenario: Scenario) -> tuple[Uav, Ugv]:
     return uav, ugv
 
 
+def _worst_error(scenario: Scenario, limits: SearchLimits) -> float:
+    """Return the largest error of a detection within these limits [m]."""
+    detections = msgspec.structs.replace(scenario.detections, noise=limits.noise)
+    noisy = msgspec.structs.replace(scenario, detections=detections)
+    return largest_error(noisy, scenario.uav[0])
+
+
 def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
     """Return the scenario from which every candidate starts.
 
@@ -98,8 +105,7 @@ def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
     pair(scenario)
     detections = msgspec.structs.replace(scenario.detections, noise=limits.noise, dropout=0.0)
     given = scenario.certificate
-    noisy = msgspec.structs.replace(scenario, detections=detections)
-    worst = largest_error(noisy, scenario.uav[0])
+    worst = _worst_error(scenario, limits)
     parameters = safety_parameters(scenario, scenario.uav[0].name)
     as_usual = given in (Certificate(), Certificate(max_measurement_age=DEFAULT_AGE))
     certificate = msgspec.structs.replace(
@@ -141,7 +147,7 @@ def beyond_declared(base: Scenario, limits: SearchLimits) -> tuple[str, ...]:
     if not LAWS[base.law.name].watched:
         return ()
     given = base.certificate
-    error = largest_error(base, base.uav[0])
+    error = _worst_error(base, limits)
     rows = (
         (
             "max_measurement_age",

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from bus.numbers import exact
 from bus.observations import UAV, by_name, names
 from outrider_learning.bounds import SMALLEST, positive, row, whole
 from outrider_learning.transformation import Mask, Transformation
@@ -93,7 +92,7 @@ class EscortView(Transformation):
             raise ValueError(f"EscortView needs a UAV's row and a coverage patch, got {space}")
         if not np.isclose(row.high[_V_X], self._v_max):
             raise ValueError(
-                f"v_max = {exact(row.high[_V_X])} m/s: EscortView was created with {exact(self._v_max)} m/s"
+                f"v_max = {row.high[_V_X]:g} m/s: EscortView was created with {self._v_max:g} m/s"
             )
         return spaces.Box(-_LARGEST, _LARGEST, (self.size,), np.float32)
 

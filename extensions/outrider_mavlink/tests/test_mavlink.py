@@ -264,7 +264,7 @@ def test_lost_sight_and_missing_certificate_are_reported(run, monkeypatch):
     reported = texts(run.station.arrived())
     assert "uav_0: process disconnected" in reported
     assert f"not certified: {why.text}" in reported
-    assert "ugv_0 is out of sight: distance 4.80 m, r_v 4.75 m" in reported
+    assert "ugv_0 is out of sight: distance 4.8 m, r_v 4.75 m" in reported
     assert run.gateway.systems[UAV].critical
     run.gateway.take(status())
     run.gateway.take(truth())
