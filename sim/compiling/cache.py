@@ -80,12 +80,15 @@ def _files(folder: Path) -> Iterator[tuple[str, Path]]:
     Raises:
         PermissionError: If a folder cannot be read or written: numba would use another one.
     """
-    for path in sorted(folder.rglob("*")):
-        if path.parent == folder and path.is_dir() and not path.is_symlink():
-            if not os.access(path, os.R_OK | os.W_OK | os.X_OK):
-                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-        elif path.parent != folder or path.name not in (_SUMS, _LOCK):
-            yield path.relative_to(folder).as_posix(), path
+    for entry in sorted(os.scandir(folder), key=lambda one: one.name):
+        if not entry.is_dir(follow_symlinks=False):
+            if entry.name not in (_SUMS, _LOCK):
+                yield entry.name, Path(entry.path)
+            continue
+        if not os.access(entry.path, os.R_OK | os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), entry.path)
+        for name in sorted(os.listdir(entry.path)):
+            yield f"{entry.name}/{name}", Path(entry.path, name)
 
 
 def _sum_of(path: Path) -> _Sum | None:
