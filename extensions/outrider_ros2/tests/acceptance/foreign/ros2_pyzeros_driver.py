@@ -21,8 +21,10 @@ SPEED = float(sys.argv[1])
 async def main() -> None:
     odometry = pyzeros.Sub(Odometry, "/ugv_0/odom")
     driver = pyzeros.Pub(TwistStamped, "/ugv_0/cmd_vel")
-    first = await asyncio.wait_for(odometry.wait_for_value(), 30.0)
+    # Reading and writing a first message of a type compiles code, for a minute on a busy machine.
+    first = await asyncio.wait_for(odometry.wait_for_value(), 300.0)
     twist = TwistStamped()
+    driver.publish(twist)
     twist.twist.linear.x = SPEED
 
     async def drive() -> None:
