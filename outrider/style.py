@@ -6,6 +6,7 @@ Colors of vehicles and limits, fonts and the map are defined by the scene (`sim.
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -35,6 +36,11 @@ __all__ = [
 
 GAIN = {"low": "#8fbdee", "high": "#2f74d0", "bounded": "#12305f"}
 """Shades of the gain k_v: low, high, and high with bounded input."""
+_DASHES: tuple[Any, ...] = ("-", (0, (6, 1.5)), (0, (1.5, 1.5)), (0, (6, 1.5, 1.5, 1.5)))
+_NAME = 0.11
+"""Share of the axis below which the names of two radii would overlap."""
+_LEGEND_WIDTH, _KEY_WIDTH = 56, 7
+"""Width of a legend, and of a key without its name [letters]."""
 
 
 def new_figure(width: int, height: int, *, header: float = 0.0) -> Figure:
@@ -71,22 +77,52 @@ def law_mark(law: str) -> str:
     return LAWS[law].mark if law in LAWS else "o"
 
 
+def line(k: int) -> dict[str, Any]:
+    """Return color and dashes of a UAV's line in charts; after the last color, the dashes change."""
+    return {"color": color(UAV, k), "linestyle": _DASHES[k // len(UAV) % len(_DASHES)]}
+
+
 def over_time(axes: Axes, end: float, label: str) -> None:
-    """Set up axes with time from 0 to `end` [s] and a quantity that starts at 0."""
+    """Set up axes with time from 0 to `end` [s] and a quantity that starts at 0; call it after plotting."""
     axes.set_xlim(0.0, end)
-    axes.set_ylim(bottom=0.0)
+    highest = float(axes.dataLim.y1)
+    axes.set_ylim(0.0, 1.08 * highest if math.isfinite(highest) and highest > 0.0 else 1.0)
     axes.set_xlabel("time [s]")
     axes.set_ylabel(label)
-    axes.margins(y=0.08)
 
 
 def limits_of_sight(axes: Axes, r_v: float | None, r_s: float | None) -> None:
-    """Draw the radii [m] as lines over time, with their names at the right; None: not drawn."""
-    for radius, name, line in ((r_v, "$r_v$", "-"), (r_s, "$r_s$", DASHED)):
+    """Draw the radii [m] as lines over time, with their names; None: not drawn.
+
+    Call it when the limits of the axes are set.
+    """
+    for radius, dashes in ((r_v, "-"), (r_s, DASHED)):
         if radius is not None:
-            axes.axhline(radius, color=LIMIT, linewidth=1.3, linestyle=line, zorder=1.5)
+            axes.axhline(radius, color=LIMIT, linewidth=1.3, linestyle=dashes, zorder=1.5)
+    name_limits(axes, r_v, r_s)
+
+
+def name_limits(axes: Axes, r_v: float | None, r_s: float | None, *, outer: str = "$r_v$") -> None:
+    """Write the names of the radii at the right of the axes, one above the other where they are close.
+
+    Args:
+        axes: Axes over time, with their limits set.
+        r_v: Visibility radius at the end [m]; None: no name.
+        r_s: Switching radius [m]; None: no name.
+        outer: Name of r_v.
+    """
+    low, high = axes.get_ylim()
+    apart = r_v is None or r_s is None or abs(r_v - r_s) > _NAME * (high - low)
+    upper, lower = ("bottom", "top") if (r_v or 0.0) >= (r_s or 0.0) else ("top", "bottom")
+    for radius, name, place in ((r_v, outer, upper), (r_s, "$r_s$", lower)):
+        if radius is not None:
             axes.text(
-                1.012, radius, name, color=LIMIT, va="center", transform=axes.get_yaxis_transform()
+                1.012,
+                radius,
+                name,
+                color=LIMIT,
+                va="center" if apart else place,
+                transform=axes.get_yaxis_transform(),
             )
 
 
@@ -98,18 +134,20 @@ def coverage_bar(figure: Figure, image: AxesImage, axes: Axes | Sequence[Axes]) 
 
 
 def legend_above(axes: Axes) -> None:
-    """Draw a legend with five entries per line between the axes and their title."""
+    """Draw a legend with up to five entries per line between the axes and their title."""
     names = axes.get_legend_handles_labels()[1]
+    columns = max(1, min(5, _LEGEND_WIDTH // (max(map(len, names)) + _KEY_WIDTH)))
     legend = axes.legend(
         loc="lower left",
-        bbox_to_anchor=(-0.012, 0.96),
-        ncols=5,
+        bbox_to_anchor=(-0.012, 1.0),
+        borderaxespad=0.1,
+        ncols=columns,
         markerscale=4.0,
         columnspacing=1.2,
         labelspacing=0.2,
     )
     legend.set_in_layout(False)
-    axes.set_title(axes.get_title(loc="left"), pad=8.0 + 13.0 * math.ceil(len(names) / 5))
+    axes.set_title(axes.get_title(loc="left"), pad=8.0 + 13.0 * math.ceil(len(names) / columns))
 
 
 def panel(axes: Axes, letter: str, title: str) -> None:

@@ -26,10 +26,10 @@ from sim.models.buildings import building_table, line_of_sight
 from sim.scenario.ground_types import AltitudeLaw
 from sim.scenario.types import Scenario, Sensor, Uav, Ugv, Visibility
 from sim.scene.altitude import HiddenGround, ring_radius
-from sim.scene.colors import building
+from sim.scene.colors import INK, building
 from sim.scene.drawing import Map, legend_of
 from sim.scene.footprints import label_point
-from sim.scene.ground_map import ground_map
+from sim.scene.ground_map import KNOWN, UNKNOWN, ground_map
 from sim.scene.known import scene_of
 from sim.scene.prism import prism, triangulated
 from sim.server.flight import Flight
@@ -106,6 +106,22 @@ def test_every_building_is_drawn_once_in_its_grey() -> None:
     assert {"building, height [m]", "hidden from the camera"} <= labels
     assert "5.0" in {text.get_text() for text in axes.texts}
     assert drawn.artists
+
+
+def test_heights_are_dark_on_faint_buildings() -> None:
+    world = World(behind_a_house(), 3)
+    scene, ground = scene_of(world.scenario, world.buildings), ground_map(world)
+    axes = Figure().add_subplot()
+    drawn = Map(axes, scene, hazards=ground)
+    (label,) = (text for text in axes.texts if text.get_text() == "5.0")
+
+    def shown(state: int) -> str:
+        states = bytes([state] * len(ground.states))
+        drawn.show({}, None, hazards=msgspec.structs.replace(ground, states=states))
+        return str(label.get_color())
+
+    assert shown(KNOWN) == "white"
+    assert shown(UNKNOWN) == INK
 
 
 def test_film_and_log_state_that_a_building_hides_the_ugv(recording: Recording) -> None:

@@ -7,10 +7,12 @@ import matplotlib as mpl
 import msgspec
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
 from bus.messages.scenario import Area, Law
 from flights import escort, pairs
+from outrider import style
 from outrider.running.flying import fly
 from outrider.view.flight_picture import SIZE, draw_flight, flight_figure
 from sim.scenario.types import Detections, Uav, Ugv
@@ -186,6 +188,37 @@ def test_r_s_is_drawn_only_as_a_separate_circle(uav, drawn):
     assert "$r_v$" in texts(panel(figure, "Distance"))
     radii = sorted({round(patch.get_radius(), 3) for patch in figure.axes[0].patches})
     assert radii == ([3.683, 4.75, 5.0] if drawn else [4.75, 5.0])
+
+
+@pytest.mark.parametrize(("r_v", "r_s"), [(4.75, 3.65), (3.0, 3.65), (4.75, 4.75), (4.75, None)])
+def test_names_of_close_radii_do_not_overlap(r_v, r_s):
+    figure = style.new_figure(1400, 400)
+    axes = figure.add_subplot()
+    axes.set_ylim(0.0, 40.0)
+    style.limits_of_sight(axes, r_v, r_s)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    boxes = [text.get_window_extent(canvas.get_renderer()) for text in axes.texts]
+    assert len(boxes) == (1 if r_s is None else 2)
+    assert not any(a.overlaps(b) for a in boxes for b in boxes if a is not b)
+
+
+def test_each_of_eight_uavs_has_its_own_line():
+    places = [(4.0 + 4.0 * k, 20.0) for k in range(8)]
+    flown = fly(pairs(places, places, name="eight", duration=0.5), 1)[0]
+    drawn = [
+        line for line in panel(flight_figure(flown), "Distance").lines
+        if line.get_label().startswith("uav_")
+    ]  # fmt: skip
+    assert len(drawn) == 8
+    assert len({(line.get_color(), line.get_linestyle()) for line in drawn}) == 8
+    assert {line.get_color() for line in drawn} == set(style.UAV)
+
+
+def test_a_nearly_constant_curve_lies_within_its_chart():
+    figure = flight_figure(fly(scenario(duration=0.1), 0)[0])
+    axes = panel(figure, "Coverage error")
+    assert axes.get_ylim()[1] > 1.05 * max(axes.lines[0].get_ydata())
 
 
 def test_only_lost_sight_is_shaded_and_stated(flight):

@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("pyarrow", reason="the extra [sweep] is not installed")
+from matplotlib.text import Text
 from scipy import stats
 
 from bus.errors import ScenarioError
 from outrider.experiments.intervals import mean_interval, wilson_interval
 from outrider.experiments.report.document import certified_runs, holds, markdown, page
-from outrider.experiments.report.plots import draw_all
+from outrider.experiments.report.plots import ages, draw_all, errors, margins, violations
 from outrider.experiments.report.results import Material, read_material
 from outrider.experiments.sweep.columns import RESULTS
 from outrider.experiments.sweep.definition import describe_sweep
@@ -163,6 +164,14 @@ def test_the_markdown_table_has_every_value_and_law(material):
 @pytest.fixture(scope="module")
 def pictures(material, tmp_path_factory) -> dict[str, Path]:
     return draw_all(material, tmp_path_factory.mktemp("pictures"))
+
+
+@pytest.mark.parametrize("draw", [violations, margins, errors, ages])
+def test_no_picture_shows_the_source_of_a_formula(material, draw):
+    figure = draw(material)
+    shown = [text.get_text() for text in figure.findobj(Text)]
+    assert len(shown) > 5
+    assert not [text for text in shown if r"\$" in text or text.count("$") % 2]
 
 
 def test_the_page_needs_nothing_beside_itself(material, pictures):

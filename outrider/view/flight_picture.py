@@ -164,13 +164,12 @@ def _draw_distance(axes: Axes, flight: Flight) -> None:
     time, distance = times(flight), flight.recorder.escorts[:, :, 0]
     r_v = flight.scenario.visibility.radius
     for k, uav in enumerate(flight.world.uavs):
-        axes.plot(time, distance[:, k], color=style.color(style.UAV, k), label=uav.name)
+        axes.plot(time, distance[:, k], **style.line(k), label=uav.name)
     style.over_time(axes, _end(flight), r"$\|p_\Delta\|$ [m]")
     axes.set_ylim(0.0, 1.12 * max(r_v, float(distance.max())))
     r_s = inner_radius(flight.scenario, flight.world.uavs[0].escorts)
     if flight.scenario.has_altitude:
-        style.limits_of_sight(axes, None, r_s)
-        _draw_radii(axes, flight)
+        _draw_radii(axes, flight, r_s)
     else:
         style.limits_of_sight(axes, r_v, r_s)
     _shade_violations(axes, flight)
@@ -191,26 +190,21 @@ def _radii(flight: Flight) -> FloatArray:
     return found
 
 
-def _draw_radii(axes: Axes, flight: Flight) -> None:
-    """Draw the visibility radius over time, as it depends on the altitude."""
+def _draw_radii(axes: Axes, flight: Flight, r_s: float | None) -> None:
+    """Draw the visibility radius over time, as it depends on the altitude, and r_s [m]."""
     radii = _radii(flight)
     for k in range(radii.shape[1]):
         axes.plot(times(flight), radii[:, k], color=style.LIMIT, linewidth=1.3, zorder=1.5)
-    axes.text(
-        1.012,
-        radii[-1, 0],
-        "$r_v(z)$",
-        color=style.LIMIT,
-        va="center",
-        transform=axes.get_yaxis_transform(),
-    )
+    if r_s is not None:
+        axes.axhline(r_s, color=style.LIMIT, linewidth=1.3, linestyle=style.DASHED, zorder=1.5)
+    style.name_limits(axes, float(radii[-1, 0]), r_s, outer="$r_v(z)$")
 
 
 def _draw_altitude(axes: Axes, flight: Flight) -> None:
     """Draw the altitudes, and the roof of the highest building."""
     altitudes, buildings = flight.recorder.heights[:, :, 0], flight.world.buildings
     for k, name in enumerate(_names(flight)):
-        axes.plot(times(flight), altitudes[:, k], color=style.color(style.UAV, k), label=name)
+        axes.plot(times(flight), altitudes[:, k], **style.line(k), label=name)
     style.over_time(axes, _end(flight), "z [m]")
     axes.set_ylim(0.0, 1.15 * float(altitudes.max()))
     axes.set_title("Altitude of the UAV" if altitudes.shape[1] == 1 else "Altitude of the UAVs")
@@ -218,21 +212,23 @@ def _draw_altitude(axes: Axes, flight: Flight) -> None:
         return
     highest = max(building.height for building in buildings)
     axes.axhline(highest, color=style.MUTED, linewidth=1.2, linestyle=style.DASHED, zorder=1.5)
-    axes.text(
-        0.01,
-        highest,
+    below = highest > 0.4 * axes.get_ylim()[1]  # away from the altitudes
+    axes.annotate(
         f"highest building, {highest:.1f} m",
+        (0.01, highest),
+        xytext=(0.0, -2.0 if below else 1.0),
+        xycoords=axes.get_yaxis_transform(),
+        textcoords="offset points",
         color=style.MUTED,
         fontsize=8.0,
-        va="bottom",
-        transform=axes.get_yaxis_transform(),
+        va="top" if below else "bottom",
     )
 
 
 def _draw_error(axes: Axes, flight: Flight) -> None:
     error = flight.recorder.escorts[:, :, 1]
     for k in range(error.shape[1]):
-        axes.plot(times(flight), error[:, k], color=style.color(style.UAV, k))
+        axes.plot(times(flight), error[:, k], **style.line(k))
     style.over_time(axes, _end(flight), "e(t) [m²]")
     axes.set_title("Coverage error around the UGV")
 
@@ -321,7 +317,7 @@ def _draw_header(figure: Figure, flight: Flight, hazards: GroundMap | None) -> N
     facts.append(f"{flight.recorder.ticks * scenario.dt:g} s")
     if verdict is not None:
         facts.append(verdict.reached)
-    title = textwrap.shorten(scenario.title or scenario.name, 50) or "scenario"
+    title = textwrap.shorten(scenario.title or scenario.name, 50, placeholder=" …") or "scenario"
     figure.text(0.014, 0.968, title, fontsize=15, fontweight="bold", va="top", parse_math=False)
     subtitle = named + "   ·   ".join(facts)
     figure.text(0.014, 0.908, subtitle, color=style.MUTED, va="top")

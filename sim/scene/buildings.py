@@ -27,6 +27,8 @@ _FINER, _LARGEST_GRID = 3, 1500
 _HATCH = 8
 """Parts of a cell from one line of the hatching to the next."""
 _LABEL_SIZE = 6.5
+_DARK = 1.7
+"""Sum of red, green and blue below which a label is white."""
 
 
 class DrawnBuildings:
@@ -47,12 +49,12 @@ class DrawnBuildings:
         self._areas = PathCollection(outlines, edgecolors=INK, linewidths=0.8, zorder=2.6)
         axes.add_collection(self._areas, autolim=False)
         self._labels: list[Text] = []
-        for one, grey in zip(buildings[:_MOST_LABELS], self._greys, strict=False):
+        self._dark = [sum(rgb(grey)) < _DARK for grey in self._greys]
+        for one in buildings[:_MOST_LABELS]:
             label = axes.text(
                 *label_point(one),
                 f"{one.height:.1f}",
                 size=_LABEL_SIZE,
-                color="white" if sum(rgb(grey)) < 1.7 else INK,
                 ha="center",
                 va="center",
                 zorder=2.65,
@@ -69,14 +71,17 @@ class DrawnBuildings:
     def show(self, hazards: GroundMap | None) -> None:
         """Show the UGVs' knowledge of the buildings; None: unchanged."""
         states = b"" if hazards is None else hazards.states
-        colors = []
+        colors, faint = [], []
         for k, grey in enumerate(self._greys):
             at = self._hazards.get(k)
             state = KNOWN if at is None or hazards is None else states[at]
+            faint.append(state == UNKNOWN)
             colors.append(
                 to_rgba(LIMIT if state == HIT else grey, FAINT if state == UNKNOWN else 1.0)
             )
         self._areas.set_facecolor(colors)
+        for label, dark, pale in zip(self._labels, self._dark, faint, strict=False):
+            label.set_color("white" if dark and not pale else INK)
 
 
 class DrawnShadow:

@@ -97,9 +97,7 @@ def _sheet(
         axes.yaxis.set_tick_params(labelleft=True)
         if k % columns == 0:
             axes.set_ylabel(label)
-    figure.text(
-        0.012, 1.0 - 14.0 / height, style.plain(title), fontsize=12, fontweight="bold", va="top"
-    )
+    figure.text(0.012, 1.0 - 14.0 / height, title, fontsize=12, fontweight="bold", va="top")
     figure.legend(
         handles=list(keys),
         loc="upper left",
@@ -140,7 +138,7 @@ def violations(material: Material) -> Figure:
                 zorder=4,
             )
         axes.set_ylim(0.0, 1.0)
-        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
 
     keys = [
         *_law_keys(material),
@@ -220,10 +218,10 @@ def _band(
     x, mean, low, high = zip(*points, strict=True)
     if len(points) > 1 and panel.ordered:
         axes.fill_between(x, low, high, color=color, alpha=0.18, linewidth=0.0)
-        axes.plot(x, mean, color=color, marker=mark, markersize=4.0)
+        axes.plot(x, mean, color=color, marker=mark, markersize=4.0, clip_on=False)
         return
     axes.vlines(x, low, high, color=color, linewidth=2.2, alpha=0.5)
-    axes.plot(x, mean, color=color, marker=mark, markersize=4.0, linestyle="")
+    axes.plot(x, mean, color=color, marker=mark, markersize=4.0, linestyle="", clip_on=False)
 
 
 def errors(material: Material) -> Figure:
@@ -274,12 +272,13 @@ def ages(material: Material) -> Figure | None:
             )
             _band(axes, panel, places, means, color, mark)
             points = [(x, max(ages)) for x, ages in zip(places, most, strict=True) if ages]
+            joined = panel.ordered and len(points) > 1
             axes.plot(
                 *zip(*points, strict=True),
                 color=color,
                 linewidth=1.2,
-                linestyle=":" if panel.ordered else "",
-                marker="" if panel.ordered else "_",
+                linestyle=":" if joined else "",
+                marker="" if joined else "_",
             )
         axes.set_yscale("symlog", linthresh=0.1, linscale=0.4)
         axes.set_yticks([0.0, 0.1, 1.0, 10.0, 100.0], ["0", "0.1", "1", "10", "100"])
