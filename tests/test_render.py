@@ -190,7 +190,7 @@ def test_r_s_is_drawn_only_as_a_separate_circle(uav, drawn):
     assert radii == ([3.683, 4.75, 5.0] if drawn else [4.75, 5.0])
 
 
-@pytest.mark.parametrize(("r_v", "r_s"), [(4.75, 3.65), (3.0, 3.65), (4.75, 4.75), (4.75, None)])
+@pytest.mark.parametrize(("r_v", "r_s"), [(4.75, 3.65), (3.0, 3.65), (4.75, 4.7), (4.75, None)])
 def test_names_of_close_radii_do_not_overlap(r_v, r_s):
     figure = style.new_figure(1400, 400)
     axes = figure.add_subplot()
