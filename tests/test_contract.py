@@ -104,7 +104,7 @@ MODELS = """
     sensors sensors.hill sensors.plateau shadows vehicles"""
 ON_BOARD = {
     *(f"sim.models.{name}" for name in words(MODELS)),
-    *(f"sim.compiling.{name}" for name in words("compile dispatch lanes records")),
+    *(f"sim.compiling.{name}" for name in words("cache compile dispatch lanes records")),
 }
 """All modules of the simulator on board of a vehicle."""
 ROOMS = {"sim.models", "sim.compiling"}
@@ -144,7 +144,7 @@ def test_import_contracts_hold_and_catch_a_forbidden_import(tmp_path: Path) -> N
 
 REFUSES_FUNCTIONS = {"sim.input", "sim.input.faults"}
 """Modules that refuse invalid user code in one line."""
-OF_MESSAGES = {"sim.scene"} | {
+OF_MESSAGES = {"sim.scene", "sim.models.sight"} | {
     f"sim.scene.{name}" for name in ("altitude", "colors", "footprints", "model", "prism")
 }
 """Modules that convert messages to ROS 2: types of a scene, but no world."""

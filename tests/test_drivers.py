@@ -194,7 +194,7 @@ def test_a_driver_without_a_compiled_form_is_refused_in_one_line(name: str) -> N
 
 
 def test_an_area_of_too_many_tiles_is_refused_in_one_line() -> None:
-    phrase = r"^ground.tile = 0.5: divides .* 3.6e\+07 tiles; allowed: at most 1,000,000$"
+    phrase = r"^ground.tile = 0.5: divides .* 36,000,000 tiles; allowed: at most 1,000,000$"
     with pytest.raises(ScenarioError, match=phrase):
         NavigateDriver(ugv_briefing(area=Area(width=1e6, height=9.0, cell=0.5), ground=GROUND))
 

@@ -465,5 +465,5 @@ def test_every_variable_is_documented_with_its_unit(monkeypatch: pytest.MonkeyPa
     tables = [rows for rows in vars(variables).values() if isinstance(rows, tuple)]
     assert len(tables) >= 8
     for one in {one for rows in tables for one in rows}:
-        unit = f"Float64, {one.unit}" if one.unit else "Boolean"
+        unit = f"Float64, {one.unit}" if one.unit else "String" if one.text else "Boolean"
         assert f"{one.name}` | {unit} | {one.about} |" in text
