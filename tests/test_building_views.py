@@ -114,10 +114,11 @@ def test_heights_are_dark_on_faint_buildings() -> None:
     axes = Figure().add_subplot()
     drawn = Map(axes, scene, hazards=ground)
     (label,) = (text for text in axes.texts if text.get_text() == "5.0")
+    tracks = {one.name: np.array([one.position]) for one in world.scenario.vehicles}
 
     def shown(state: int) -> str:
         states = bytes([state] * len(ground.states))
-        drawn.show({}, None, hazards=msgspec.structs.replace(ground, states=states))
+        drawn.show(tracks, None, hazards=msgspec.structs.replace(ground, states=states))
         return str(label.get_color())
 
     assert shown(KNOWN) == "white"
