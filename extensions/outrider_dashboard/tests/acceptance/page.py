@@ -583,7 +583,7 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:
             third = Page(desktop, address, complaints)
             report("controls", check_controls(third))
             report("a proxy without WebSockets", check_proxy(desktop, port))
-            report("a proxy with a path of its own", check_sub_path(browser, port, TOKEN))
+            report("a proxy with a path of its own", check_sub_path(browser, door, TOKEN))
             report("three pairs", check_pairs(browser, processes, pictures))
             report("a dead simulator", check_dead_simulator(third, processes))
             report("doors", check_doors(port, door, processes, refused))
