@@ -204,7 +204,7 @@ class Result:
     certified: int
     """Ticks with a certificate."""
     broken: int
-    """Certificates that ended because the path to a stop was not known to be drivable, though all reports were true."""
+    """Certificates that ended because the stopping path was not known to be drivable, though all reports were true."""
     entered: int
     near: int
     """Certified ticks with a point in a tile not known to be drivable, and nearer than the clearance."""
@@ -289,7 +289,7 @@ class Record:
             broken=0
             if flight.missed
             else sum(
-                a == "certified" and "path to a stop" in b for a, b in itertools.pairwise(claims)
+                a == "certified" and "stopping path" in b for a, b in itertools.pairwise(claims)
             ),
             entered=int((entered & own).sum()),
             near=near,

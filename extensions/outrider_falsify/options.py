@@ -76,7 +76,7 @@ OneEngine = Annotated[
 ]
 Control = Annotated[
     ControlGuard | None,
-    typer.Option(help="Attack a faulty guard in place of the safety filter."),
+    typer.Option(help="Attack a faulty filter in place of the safety filter."),
 ]
 Altitude = Annotated[
     bool,

@@ -29,7 +29,7 @@ def command(
         str,
         typer.Option(
             metavar="DRIVER",
-            help="Hand control to this driver at the end; default: the previous one.",
+            help="Return control to this driver at the end; default: the previous one.",
         ),
     ] = "",
 ) -> None:

@@ -123,7 +123,7 @@ CERTIFICATE = _table(
     Metric("certified_share", "visibility certified", "%", 2,
            "Share of the monitored ticks that were certified; none for a law without "
            "safety filter.", goal=1.0, column="double"),
-    Metric("overridden_share", "law overridden", "%", 1,
+    Metric("overridden_share", "filter overrides", "%", 1,
            "Share of the monitored ticks at which the safety filter overrode the law.",
            column="double"),
     Metric("certified_while_lost", "certified while lost", "ticks", 0,

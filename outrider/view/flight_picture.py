@@ -303,7 +303,7 @@ def _verdict(flight: Flight) -> _Verdict | None:
     if not lost:
         return _Verdict(f"UGV always in sight, margin {margin:.2f} m", style.GOOD, reached)
     hidden = int((heights[:, :, 3] == 0.0).any(axis=1).sum()) if heights.shape[1] else 0
-    behind = f", for {hidden * dt:.2f} s of it behind a building" if hidden else ""
+    behind = f", of which {hidden * dt:.2f} s behind a building" if hidden else ""
     return _Verdict(f"UGV out of sight for {lost * dt:.2f} s{behind}", style.LIMIT, reached)
 
 

@@ -85,7 +85,7 @@ class Controls:
             button("Take control", icon="sports_esports", props=take, classes="grow take").on(
                 "click", js_handler="() => window.outrider.take()"
             )
-            button("Hand back", props="outline color=accent id=back", classes="grow back").on(
+            button("Return control", props="outline color=accent id=back", classes="grow back").on(
                 "click", js_handler="() => window.outrider.back()"
             )
         html(_STICK, "stick-row")

@@ -268,7 +268,7 @@ def check_touch(second: Page, context: Any) -> str:
     wait_until(lambda: second.velocity()[1] < -0.1, "a finger on the stick drives the UGV south")
     finger("touchEnd")
     wait_until(lambda: second.speed() < 0.01, "lifted, it brakes")
-    second.click("Hand back")
+    second.click("Return control")
     wait_until(
         lambda: second.status["drivers"]["ugv_0"] == "waypoints", "the previous driver continues"
     )
