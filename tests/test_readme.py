@@ -1,5 +1,6 @@
 """The README and the pages of docs agree with the program."""
 
+import inspect
 import json
 import pkgutil
 import re
@@ -15,10 +16,15 @@ pytest.importorskip("outrider_learning", reason="the pages show extensions, too"
 import typer
 
 import outrider
+from agents.process import Pilot
 from bus.messages.links import LinkKind
+from bus.observations import ALTITUDE, GRADIENT, STATE, UAV, UAV_STATE, UGV, UGV_STATE
 from outrider.cli.main import make_app
+from outrider.running.altitude_assumptions import certified_from
 from outrider.running.user_code import check_own_functions
 from pages import PAGES, ROOT, blocks, run_shown
+from sim.channel.recorded import MOST_BYTES, MOST_LINES
+from sim.engine.briefing import uav_briefing
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from tabular import words
@@ -164,3 +170,33 @@ def test_every_page_is_in_the_sites_navigation() -> None:
     nav = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:\n")[1]
     shown = set(re.findall(r"[\w/-]+\.md", nav))
     assert {page.removeprefix("docs/") for page in PAGES if page.startswith("docs/")} <= shown
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.startswith("extensions/")])
+def test_files_that_an_extension_names_are_its_own(page: str) -> None:
+    own = {path.name for path in (ROOT / page).parent.rglob("*.py")}
+    assert set(re.findall(r"`(\w+\.py)`", PAGES[page])) <= own
+
+
+def test_all_optional_methods_of_a_pilot_are_documented() -> None:
+    methods = re.findall(r"- `(\w+\(\w*\))`", inspect.getdoc(Pilot) or "")
+    shown = re.findall(r"^\| `(\w+\(\w*\))` \|", PAGES["docs/how-to/own-code.md"], re.MULTILINE)
+    assert shown == methods != []
+
+
+def test_numbers_in_prose_are_those_of_the_code() -> None:
+    text = {page: " ".join(shown.split()) for page, shown in PAGES.items()}
+    assert MOST_LINES == 1_000_000
+    limit = f"Files of more than {MOST_BYTES >> 20} MiB or one million lines"
+    assert limit in text["docs/how-to/network.md"]
+    environment = text["docs/reference/environment.md"]
+    row = f"shape `({len(UAV)},)` for a UAV, `({len(UAV) + len(ALTITUDE)},)` for one that has an"
+    assert row in environment
+    assert f"`({len(UGV)},)` for a UGV" in environment
+    assert len(ALTITUDE) == len(GRADIENT) == 2
+    state = f"`({len(STATE)} + {len(UAV_STATE)} · UAVs + {len(UGV_STATE)} · UGVs,)`"
+    assert state in environment
+    fixed = ["uav.0.min_altitude=6", "uav.0.max_altitude=24", "law.name=certified"]
+    town = load_scenario("town", overrides=fixed)
+    lowest = certified_from(uav_briefing(town, "uav_0", town.seed)).split(" at ")[1].split()[0]
+    assert f"Below {lowest} m no tick of these flights can" in text["docs/explanation/ground.md"]

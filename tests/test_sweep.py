@@ -24,6 +24,7 @@ from outrider.experiments.sweep.plan import SweepPlan, lay_out
 from outrider.experiments.sweep.running import fly_sweep, make_tasks, open_cluster
 from outrider.experiments.sweep.worker import fly_runs
 from outrider.running.flying import run
+from pages import PAGES, ROOT
 from processes import OUTRIDER, PIPES, stat_of, wait_until
 from refusals import refused
 from sim.scenario.loading import load_scenario, scenario_names
@@ -456,3 +457,11 @@ def test_a_damaged_part_is_named_with_what_to_do(tmp_path, content):
         SweepFolder(tmp_path / "sweep", plan, command="")
     part.unlink()
     SweepFolder(tmp_path / "sweep", plan, command="").close()
+
+
+def test_the_page_on_robustness_counts_its_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    sweeps = "commands", "network", "examples/networks/sweep.toml"
+    runs = sum(lay_out(describe_sweep(source, seeds=10)[0]).runs for source in sweeps)
+    page = " ".join(PAGES["docs/explanation/robustness.md"].split())
+    assert f"{runs:,} runs with ten seeds" in page
