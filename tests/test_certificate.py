@@ -414,7 +414,7 @@ def test_beyond_the_certified_radius_the_filter_acts(detections, here, wanted, a
             {"age": 19.0},
             r"up to 4.1 m \(.*max_measurement_age = 19 s\): too much .* 4.75 m; .*_age up to 17\.\d\d s",
         ),
-        ({"eps": 4.0}, r"up to 5 m .* for no max_measurement_age"),
+        ({"eps": 4.0}, r"up to 5 m .* no max_measurement_age makes it certifiable"),
     ],
 )
 def test_failed_assumption_is_named_with_its_numbers(numbers, text):

@@ -365,22 +365,25 @@ def _handover_fault(bounds: SafetyBounds) -> str:
     driven = f"max_measurement_age = {exact(age)} s"
     if delay > 0.0:
         driven += f" and max_command_delay = {delay:g} s"
-    limit = "for no max_measurement_age"
+    limits = {"max_measurement_age": ""}
     if not math.isnan(most):
-        limit = f"for max_measurement_age up to {math.floor(100.0 * most) / 100.0:.2f} s"
+        limits["max_measurement_age"] = f"{math.floor(100.0 * most) / 100.0:.2f} s"
     if b.interval_ticks > 1:
-        most = largest_interval(b)
-        limit += (
-            ", or for no max_command_interval"
-            if math.isnan(most)
-            else f", or for max_command_interval up to {at_most(most, 4)} s"
-        )
-        limit += f", not {above(b.interval_ticks * b.dt, most)} s"
+        most, declared = largest_interval(b), b.interval_ticks * b.dt
+        shown = "" if math.isnan(most) else f"{at_most(most, 4)} s, not {above(declared, most)} s"
+        limits["max_command_interval"] = shown
     return (
         f"the UGV's position is uncertain by up to {rho:.4g} m ({causes}, plus {exact(b.v_g)} m/s for {driven}): "
-        f"too much for visibility within {b.radius:.4g} m; "
-        f"with the other values unchanged, sight can be certified {limit}"
+        f"too much for visibility within {b.radius:.4g} m; {_remaining(limits)}"
     )
+
+
+def _remaining(limits: dict[str, str]) -> str:
+    """Return up to which value each field allows a certificate, one at a time; empty: at no value."""
+    usable = [f"for {field} up to {limit}" for field, limit in limits.items() if limit]
+    if usable:
+        return f"with the other values unchanged, sight can be certified {', or '.join(usable)}"
+    return f"no {' and no '.join(limits)} makes it certifiable with the other values unchanged"
 
 
 def check_assumptions(bounds: SafetyBounds) -> tuple[str, ...]:

@@ -31,7 +31,8 @@ def command(
 
     Exits with 0, or with 2 and one line that names file, field and value. The command accepts the options of `run`
     that change the scenario, and prints the same warnings. With the law certified, it reports the bounds that links or
-    detector may exceed, and whether sight can be certified always, not always or hardly ever. Your own functions are
+    detector may exceed, and whether sight can be certified always, not always, hardly ever or
+    never. Your own functions are
     loaded and called for one tick; functions named in the file need --allow-code.
 
     Example: outrider check my-scenario.toml --network wifi-poor

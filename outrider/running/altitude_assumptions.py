@@ -14,7 +14,7 @@ def certified_from(briefing: UavBriefing) -> str:
     lowest = lowest_certified(briefing)
     if lowest is None:
         return ""
-    return f"sight can be certified from {_up(lowest)} m on, {_cause(briefing, lowest)}"
+    return f"sight can be certified at {_up(lowest)} m or higher{_cause(briefing, lowest)}"
 
 
 def _up(altitude: float) -> str:
@@ -23,25 +23,24 @@ def _up(altitude: float) -> str:
 
 
 def _cause(briefing: UavBriefing, lowest: float) -> str:
-    """Return what prevents a certificate just below an altitude [m]."""
+    """Return why sight can be certified from an altitude [m] on, as the end of a sentence."""
     own, camera = briefing.altitude, briefing.camera
     if own is None or camera is None:
         return ""
     if lowest <= own.min_altitude:
-        return "the lowest altitude of the UAV"
+        return ", from the lowest altitude of the UAV on"
     if lowest <= least_altitude(briefing):
         return (
-            f"{exact(own.vertical_clearance)} m above the highest building "
+            f", that is {exact(own.vertical_clearance)} m above the highest building "
             f"({exact(briefing.max_building_height or 0.0)} m)"
         )
     above = lowest - briefing.marker_height
     seen = above * math.tan(camera.half_angle)
     if radius_at(briefing, lowest) >= seen - 1e-6:
-        return f"where the camera sees the UGV within {seen:.2f} m; lower, that is too little"
+        return f"; there, the camera sees a UGV within {seen:.2f} m"
     return (
-        f"where buildings of up to {exact(briefing.max_building_height or 0.0)} m hide no UGV within "
-        f"{radius_at(briefing, lowest):.2f} m that keeps {exact(briefing.building_clearance)} m from them; "
-        "lower, that is too little"
+        f"; there, buildings up to {exact(briefing.max_building_height or 0.0)} m high cannot hide a UGV that is "
+        f"within {radius_at(briefing, lowest):.2f} m and at least {exact(briefing.building_clearance)} m from them"
     )
 
 
@@ -72,8 +71,17 @@ def altitude_fault(scenario: Scenario, uav: Uav, briefing: UavBriefing) -> str:
                 f"{radius_at(briefing, highest):.2f} m only; raise max_altitude, camera.half_angle or "
                 "ugv.building_clearance"
             )
-        return ""
-    if scenario.altitude.law == "fixed" and briefing.altitude.initial_altitude < lowest:
-        start = briefing.altitude.initial_altitude
-        return f"initial_altitude = {exact(start)} m: too low, {certified_from(briefing)}"
     return ""
+
+
+def low_start(scenario: Scenario, uav: Uav, briefing: UavBriefing) -> str:
+    """Return why sight is not certified before the safety filter has climbed; empty if it need not climb.
+
+    Arguments as in `altitude_fault`.
+    """
+    if briefing.altitude is None or scenario.altitude.law != "fixed":
+        return ""
+    lowest, start = lowest_certified(briefing), briefing.altitude.initial_altitude
+    if lowest is None or start >= lowest:
+        return ""
+    return f"initial_altitude = {exact(start)} m: too low, so the safety filter climbs; {certified_from(briefing)}"

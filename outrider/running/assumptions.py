@@ -18,7 +18,7 @@ from bus.messages.links import LinkKind
 from bus.numbers import above, exact
 from bus.registry import LAWS
 from bus.ticks import TICK_TOLERANCE
-from outrider.running.altitude_assumptions import altitude_fault
+from outrider.running.altitude_assumptions import altitude_fault, low_start
 from outrider.running.ground_assumptions import ground_warnings
 from outrider.running.link_assumptions import (
     RARE,
@@ -46,7 +46,8 @@ GUIDE = "docs/how-to/keep-sight.md"
 _TIMES = (0.1, 0.2, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 30.0)
 """Bounds that are tried as suggestions, from the cheapest on [s]."""
 _VERDICTS = {
-    Frequency.THROUGHOUT: "cannot be certified",
+    Frequency.ALWAYS: "cannot be certified",
+    Frequency.THROUGHOUT: "can hardly ever be certified",
     Frequency.CERTAIN: "cannot be certified at known times",
     Frequency.SOMETIMES: "cannot always be certified",
 }
@@ -104,14 +105,20 @@ def _perfect_detectors(scenario: Scenario) -> Iterator[str]:
 
 
 def how_certifiable(scenario: Scenario) -> str | None:
-    """Return `always`, `not always` or `hardly ever`: how often sight can be certified, as far as known in advance.
+    """Return how often sight can be certified, as far as known in advance.
 
-    None for laws without a safety filter.
+    Returns:
+        `always`, `not always`, `hardly ever` or `never` (for each UAV); None for laws without a safety filter.
     """
     if not scenario.uav or not LAWS[scenario.law.name].watched:
         return None
-    broken = {found.frequency for found in shortfalls(scenario)}
-    return "hardly ever" if Frequency.THROUGHOUT in broken else "not always" if broken else "always"
+    found = shortfalls(scenario)
+    if len({one.uav for one in found if one.frequency is Frequency.ALWAYS}) == len(scenario.uav):
+        return "never"
+    broken = {one.frequency for one in found}
+    if broken & {Frequency.ALWAYS, Frequency.THROUGHOUT}:
+        return "hardly ever"
+    return "not always" if broken else "always"
 
 
 def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shortfall, ...]:
@@ -132,10 +139,14 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
         bounds, fault = bounds_of(brief), altitude_fault(scenario, uav, brief)
         if fault:
             what = f"sight cannot be certified: {fault}"
-            found.append(Shortfall(uav.name, "", Frequency.THROUGHOUT, what))
+            found.append(Shortfall(uav.name, "", Frequency.ALWAYS, what))
             continue
+        start = low_start(scenario, uav, brief)
+        if start:
+            what = f"sight cannot be certified at the start: {start}"
+            found.append(Shortfall(uav.name, "", Frequency.CERTAIN, what))
         found += [
-            Shortfall(uav.name, "", Frequency.THROUGHOUT, f"sight cannot be certified: {fault}")
+            Shortfall(uav.name, "", Frequency.ALWAYS, f"sight cannot be certified: {fault}")
             for fault in check_assumptions(bounds)
         ]
         for assumption, one in _findings(scenario, table, uav, bounds):
@@ -198,7 +209,10 @@ def _remedy(
             cause = f"{field} = {exact(value)} would cover this, but allows no certificate"
             return f"{cause}; improve the link, the detector or the UAV"
         return f"try --set {field}={exact(value)}"
-    return f"no {field} up to {exact(last)} covers this; improve the link or the detector"
+    if last == 0.0:
+        return "improve the link or the detector"
+    unit = "m" if finding.field in ("max_measurement_error", "max_tracking_error") else "s"
+    return f"even {field} = {exact(last)} {unit} is exceeded; improve the link or the detector"
 
 
 def _longer_times(scenario: Scenario, uav: Uav, field: str) -> Iterable[float]:

@@ -46,8 +46,10 @@ _NO_BLACKOUTS = np.zeros((0, 2), dtype=np.int64)
 class Frequency(StrEnum):
     """Frequency at which an assumption is broken."""
 
+    ALWAYS = "always"
+    """In every tick: nothing can be certified."""
     THROUGHOUT = "throughout"
-    """In every tick or in most ticks: hardly anything can be certified."""
+    """In most ticks: hardly anything can be certified."""
     CERTAIN = "at known times"
     """At times known before the run."""
     SOMETIMES = "at random"
@@ -196,7 +198,7 @@ def age_findings(link: InspectedLink, bounds: SafetyBounds) -> Iterator[Finding]
         )
         yield Finding(Frequency.CERTAIN, cause, _AGE)
     elif waits is None and link.least + period - 1 > age:
-        frequency = Frequency.THROUGHOUT if link.least > age else Frequency.CERTAIN
+        frequency = Frequency.ALWAYS if link.least > age else Frequency.CERTAIN
         why = (
             link.named("delay", "jitter")
             or f"detections.rate = {exact(scenario.detections.rate)} /s"
@@ -349,7 +351,7 @@ def interval_findings(link: InspectedLink, bounds: SafetyBounds) -> Iterator[Fin
     if not link.settings.trace and link.least > bounds.delay_ticks:
         cause = f"{settings}: every command takes {link.seconds(link.least)} or longer to arrive, so all are late"
         times = (round(link.least * scenario.dt, 9), round(link.most * scenario.dt, 9))
-        yield Finding(Frequency.THROUGHOUT, cause, "max_command_delay", values=times)
+        yield Finding(Frequency.ALWAYS, cause, "max_command_delay", values=times)
         return
     if p.spacing > 1.0 + TICK_TOLERANCE:
         rate = f"{link.path}.bandwidth to {at_least(1.0 / scenario.dt)} messages per second"
