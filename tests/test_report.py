@@ -107,8 +107,8 @@ def test_runs_are_counted_where_they_belong(material):
     assert (len(last.flown), last.violated, last.failed) == (4, 1, 1)  # failed runs are in no rate
     assert cell.numbers("margin") == pytest.approx([0.75, -0.26, -0.27, -0.28, -0.29])
     assert cell.numbers("estimate_rmse") == []
-    assert holds(panel, "linear") == ("to 1 s, broken at 2 s", False)
-    assert holds(panel, "switching") == ("to 0.5 s, broken at 1 s", False)
+    assert holds(panel, "linear") == ("kept up to 1 s, broken at 2 s", False)
+    assert holds(panel, "switching") == ("kept up to 0.5 s, broken at 1 s", False)
     assert holds(panel, "circle") == ("-", False)
 
 
@@ -122,7 +122,7 @@ def test_unordered_values_are_named_where_the_guarantee_breaks(tmp_path):
     material = read_material([written_sweep(tmp_path / "sweep", plan, rows)])
     assert [holds(material.panels[0], law) for law in material.law] == [
         ("broken over lte", False),
-        ("over each, all values tried", True),
+        ("kept over each value tried", True),
         ("broken over each", False),
     ]
 
@@ -140,7 +140,10 @@ def test_lost_run_without_certificate_breaks_none(share, tmp_path):
             row |= dict(zip(("certified_while_lost", "certificate_broken"), lies, strict=True))
     material = read_material([written_sweep(tmp_path / "sweep", plan, rows)])
     where, runs, lost = (", where it is not certified", 15, 0) if share < 1.0 else ("", 20, 1)
-    assert holds(material.panels[0], "certified") == (f"to 1 s, broken at 2 s{where}", False)
+    assert holds(material.panels[0], "certified") == (
+        f"kept up to 1 s, broken at 2 s{where}",
+        False,
+    )
     line = f"{runs} runs were certified at every tick; {lost} of them lost sight of the UGV."
     assert certified_runs(material) == line
     table, html = markdown(material), page(material, {}, "outrider report")
@@ -152,7 +155,10 @@ def test_lost_run_without_certificate_breaks_none(share, tmp_path):
 
 def test_the_markdown_table_has_every_value_and_law(material):
     text = markdown(material)
-    assert "| delay of the detections | to 1 s, broken at 2 s | to 0.5 s, broken at 1 s |" in text
+    assert (
+        "| delay of the detections | kept up to 1 s, broken at 2 s | kept up to 0.5 s, broken at 1 s |"
+        in text
+    )
     runs = "| 1 s | switching | 5 | 4 (80 %) | 38 % to 96 % | -0.29 | -0.27 | 112 | 1 | 90 % |"
     assert f"{runs} - | - | - | - |" in text
     assert "| 2 s | linear | 4 (+1 failed) | 1 (25 %) |" in text

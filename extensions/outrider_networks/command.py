@@ -50,8 +50,8 @@ def fit(
     """Fit link settings and the nearest profile to a recording.
 
     The fit covers delay, jitter and its shape, loss, bursts and random blackouts, and prints the lines for a scenario.
-    A link's wait is the time until a message or a later one arrives. The factor is the mean ratio of the waits of two
-    links, averaged over their quantiles. Duplicates do not show in such a file.
+    The factor compares two links by the time until a message, or any later one, has arrived: it is the mean ratio of
+    the quantiles of these times, and 1 is a perfect fit. Duplicates do not show in such a file.
 
     Example: outrider network fit drive.csv --out fit.png
     """
@@ -159,7 +159,7 @@ def _print(found: "Fit") -> None:
     )
     fitted = Text("fitted", style="bold"), Text(f"{found.factor:.2f}", style="bold")
     profiles = [(f"profile {name}", f"{factor:.2f}") for name, factor in found.profiles.items()]
-    title = "Mean ratio of the waits"
+    title = "Time until a message or a later one arrives: mean ratio, 1 is a perfect fit"
     print_table(("link", "factor"), [fitted, *profiles], title=title, right=("factor",))
     OUT.tell(f"\n{found.toml}")
     print_warnings(found.notes)

@@ -184,7 +184,7 @@ def _largest_noise_note(uav: Uav) -> str:
 def in_runs(probability: float) -> str:
     """Return an upper bound of a probability within a run as text."""
     if probability == 0.0:
-        return "in no run"
+        return "with probability 0"
     if probability < 1e-12:
         return "in less than 1 of 10^12 runs"
     if probability <= 0.01:
@@ -193,4 +193,4 @@ def in_runs(probability: float) -> str:
         return f"in at most 1 of {runs // digits * digits:,} runs"
     if probability < NEARLY_CERTAIN:
         return f"in at most {math.ceil(1000.0 * probability)} of 1,000 runs"
-    return "perhaps in every run"
+    return "with a probability of up to 100 %"

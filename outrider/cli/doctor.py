@@ -131,9 +131,10 @@ def _machine() -> Iterator[Finding]:
     details = f"{count} for this process" + ("; three processes share it" if count == 1 else "")
     yield Finding("cores", "ok", details)
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    most = "without limit" if hard == resource.RLIM_INFINITY else str(hard)
+    raised = "" if hard == resource.RLIM_INFINITY else f" to {hard}"
+    most = "the most allowed" if soft == hard else f"can be raised{raised}"
     state: State = "ok" if soft >= 256 else "wrong"
-    yield Finding("open files", state, f"{soft}, at most {most}")
+    yield Finding("open files", state, f"limit {soft}, {most}")
 
 
 CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (

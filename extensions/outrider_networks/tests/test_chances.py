@@ -447,12 +447,12 @@ def test_another_law_relies_on_no_bounds() -> None:
 @pytest.mark.parametrize(
     ("probability", "words"),
     [
-        (0.0, "in no run"),
+        (0.0, "with probability 0"),
         (1e-13, "in less than 1 of 10^12 runs"),
         (3.1e-4, "in at most 1 of 3,200 runs"),
         (0.01, "in at most 1 of 100 runs"),
         (0.0371, "in at most 38 of 1,000 runs"),
-        (1.0, "perhaps in every run"),
+        (1.0, "with a probability of up to 100 %"),
     ],
 )
 def test_a_probability_in_words_is_never_less_than_it_is(probability: float, words: str) -> None:

@@ -132,9 +132,10 @@ def holds(panel: Panel, law: str) -> tuple[str, bool]:
     broken = [value for value in flown if panel.cell(law, value).violated]
     if not broken:
         if not panel.field:
-            return "holds", True
-        last = f"to {value_of(panel.field, flown[-1])}" if panel.ordered else "over each"
-        return f"{last}, all values tried", True
+            return "kept", True
+        if not panel.ordered:
+            return "kept over each value tried", True
+        return f"kept up to {value_of(panel.field, flown[-1])}, the largest value tried", True
     cells = [panel.cell(law, value) for value in (broken[:1] if panel.ordered else broken)]
     uncertified = all(
         cell.numbers("certified_share") and not any(row["violated"] for row in cell.certified)
@@ -147,7 +148,7 @@ def holds(panel: Panel, law: str) -> tuple[str, bool]:
         names = ", ".join(value_of(panel.field, value) for value in broken)
         return f"broken over {names if len(broken) < len(flown) else 'each'}{suffix}", False
     kept = flown[: flown.index(broken[0])]
-    until = f"to {value_of(panel.field, kept[-1])}, " if kept else ""
+    until = f"kept up to {value_of(panel.field, kept[-1])}, " if kept else ""
     return f"{until}broken at {value_of(panel.field, broken[0])}{suffix}", False
 
 

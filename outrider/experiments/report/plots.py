@@ -150,7 +150,7 @@ def violations(material: Material) -> Figure:
 
 
 def margins(material: Material) -> Figure:
-    """Draw the distribution of r_v minus the largest distance: range, middle half and median of the runs."""
+    """Draw the distribution of r_v minus the largest distance: range, interquartile range and median of the runs."""
     everything = [margin for cell in material.cells for margin in cell.numbers("margin")]
     highest = max([*everything, 0.5])
     # beyond r_v, the distance matters little
@@ -197,7 +197,7 @@ def margins(material: Material) -> Figure:
         style.key(
             style.MUTED, "median", marker="o", markerfacecolor="white", markersize=4, linestyle=""
         ),
-        style.key(style.MUTED, "middle half", linewidth=5, alpha=0.6),
+        style.key(style.MUTED, "interquartile range", linewidth=5, alpha=0.6),
         style.key(style.MUTED, "all runs", linewidth=1.0),
         style.key(style.LIMIT, "below: out of sight"),
         style.key(style.MUTED, "below the picture", marker="v", markersize=5, linestyle=""),
@@ -305,8 +305,8 @@ def ages(material: Material) -> Figure | None:
 CAPTIONS = {
     "violations": "Share of the runs in which the distance reached r_v at least once. Marks: measured share; bars: "
     "Wilson's 95 % interval. Marks are placed beside their value, so that no mark hides another.",
-    "margins": "Margin to r_v of the runs. Thin line: range of all runs; thick bar: middle half; white dot: median. "
-    "Below the red line the UGV was out of sight. A triangle marks values below the picture.",
+    "margins": "Margin to r_v of the runs. Thin line: range of all runs; thick bar: interquartile range; white "
+    "dot: median. Below the red line the UGV was out of sight. A triangle marks values below the picture.",
     "errors": "e(t) of equation (4), averaged over the run; low is good. Band: 95 % interval of the mean over the "
     "seeds.",
     "ages": "Age of the newest detection received by the UAV's computer, and of the newest command received by the "
