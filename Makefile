@@ -12,7 +12,7 @@ LEARNERS := sb3 torchrl rllib supersuit
 
 SEQUENCES := 60
 
-.PHONY: help run test long-test core-test check format figures bench docs soak kill-test wall-test compose-test page-test bridge-test learn-test clean
+.PHONY: help run test long-test core-test check format reference figures bench docs soak kill-test wall-test compose-test page-test bridge-test learn-test clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -47,6 +47,9 @@ check: $(VENV)/.dev ## check format, lint, types and import contracts
 format: $(VENV)/.dev ## format, and apply automatic fixes
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+reference: $(VENV)/.dev ## write the generated text of the documentation and the scenario's schema
+	$(BIN)/python docs/generators/reference.py
 
 figures: $(VENV)/.run ## draw the paper's figures and the table of their claims
 	$(BIN)/outrider figures $(ARGS)

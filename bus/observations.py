@@ -5,9 +5,9 @@ frame, relative positions are p_delta = p_a - p_g. The tables keep the informati
 vehicle's row holds its own state and its perception. The state's tables hold the truth, which no vehicle reads.
 """
 
+import inspect
 import math
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -215,19 +215,19 @@ TABLES = {
     "uav_state": UAV_STATE,
     "ugv_state": UGV_STATE,
 }
-"""Tables by their marks, `<!-- generated: NAME -->`, in docstrings and in the documentation."""
+"""Tables by their marks in the documentation."""
 
 
-def with_tables(cls: _Class) -> _Class:
-    """Decorate a class: replace the marks in its docstring by the tables, for `help`."""
+def with_tables(tables: Mapping[str, Table]) -> Callable[[_Class], _Class]:
+    """Return a decorator that appends tables, each below its title, to a class's docstring, for `help`."""
 
-    def table(found: re.Match[str]) -> str:
-        indent, name = found.groups()
-        return "\n".join(indent + line for line in markdown(TABLES[name]).splitlines())
+    def decorate(cls: _Class) -> _Class:
+        if cls.__doc__ is not None:  # python -OO removes it
+            parts = (f"{title}:\n\n{markdown(table)}" for title, table in tables.items())
+            cls.__doc__ = "\n\n".join((inspect.cleandoc(cls.__doc__), *parts))
+        return cls
 
-    if cls.__doc__ is not None:  # python -OO removes it
-        cls.__doc__ = re.sub(r"( *)<!-- generated: (\w+) -->", table, cls.__doc__)
-    return cls
+    return decorate
 
 
 def state_names(vehicles: Iterable[tuple[str, Table]]) -> list[str]:

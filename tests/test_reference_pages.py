@@ -1,6 +1,7 @@
-"""The generated reference pages are complete."""
+"""The generated text of the documentation is complete, and the pages have it."""
 
 import importlib
+import inspect
 import re
 from pathlib import Path
 from types import ModuleType
@@ -10,8 +11,9 @@ import pytest
 
 from bus.keys import KEYS
 from bus.messages.links import LinkSettings
-from bus.observations import SYMBOLS
+from bus.observations import ALTITUDE, SYMBOLS, UAV, UGV
 from outrider.cli.main import COMMANDS
+from outrider.envs.parallel import OutriderEnv
 from pages import PAGES
 from sim.scenario.loading import scenario_names
 from sim.scenario.types import Scenario
@@ -21,7 +23,7 @@ GENERATORS = Path(__file__).resolve().parent.parent / "docs" / "generators"
 
 @pytest.fixture
 def generator(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> ModuleType:
-    if request.param == "observations":  # its page also shows the tables of the extension
+    if request.param in ("observations", "reference"):  # they also show the tables of extensions
         pytest.importorskip("outrider_learning", reason="the extension is not installed")
     monkeypatch.syspath_prepend(GENERATORS)
     return importlib.import_module(request.param)
@@ -67,8 +69,6 @@ def test_every_scenario_field_is_documented_in_its_table(generator: ModuleType) 
 
 @pytest.mark.parametrize("generator", ["observations"], indirect=True)
 def test_every_entry_of_an_observation_is_on_a_page(generator: ModuleType) -> None:
-    marks = {mark for page in PAGES.values() for mark in re.findall(r"<!-- generated: (\w+)", page)}
-    assert generator.PAGES.keys() <= marks
     for name, table in generator.TABLE_OF.items():
         lines = generator.PAGES[name]().splitlines()[2:]
         assert len(lines) == len(table)
@@ -76,3 +76,20 @@ def test_every_entry_of_an_observation_is_on_a_page(generator: ModuleType) -> No
             assert line.startswith(f"| {k} | `{entry.name}` | {entry.meaning} | ")
     symbols = generator.symbols()
     assert all(f"| `{name}` | {meaning} |" in symbols for name, meaning in SYMBOLS.items())
+
+
+@pytest.mark.parametrize("generator", ["reference"], indirect=True)
+def test_generated_text_of_the_pages_is_current(generator: ModuleType) -> None:
+    if generator.missing():
+        pytest.skip(f"commands without their libraries: {', '.join(generator.missing())}")
+    marks = [mark for page in PAGES.values() for mark in re.findall(r"<!-- (/?\w+) -->", page)]
+    assert {f"/{mark}" for mark in marks if not mark.startswith("/")} <= {*marks}
+    assert generator.GENERATED.keys() <= {*marks}
+    old = [str(file.relative_to(generator.ROOT)) for file, _ in generator.outdated()]
+    assert not old, f"generated text is not current in {', '.join(old)}; update it: make reference"
+
+
+def test_help_of_the_environment_shows_every_entry() -> None:
+    shown = inspect.getdoc(OutriderEnv) or ""
+    for entry in (*UAV, *ALTITUDE, *UGV):
+        assert f"| `{entry.name}` | {entry.meaning} | " in shown

@@ -4,13 +4,15 @@ import inspect
 import re
 from collections.abc import Iterator
 from enum import Enum
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import typer
 from structs import cell, check_description
 
-from outrider.cli.main import make_app
+from bus import plugins
+from outrider.cli.main import COMMANDS, make_app
 
 _KINDS = {int: "INTEGER", float: "NUMBER", str: "TEXT", Path: "PATH"}
 
@@ -21,9 +23,18 @@ def page() -> str:
     Raises:
         ValueError: If an argument or option has no help.
     """
+    ours = {*COMMANDS, *extensions()}
     return "\n\n".join(
-        _section(name, command) for name, command in commands().items() if not command.hidden
+        _section(name, command)
+        for name, command in commands().items()
+        if not command.hidden and name.split()[0] in ours
     )
+
+
+def extensions() -> dict[str, EntryPoint]:
+    """Return the commands of Outrider's extensions, without those of other packages that are installed here."""
+    found = plugins.registered("commands").items()
+    return {name: one for name, one in found if one.dist is None or one.dist.name == "outrider"}
 
 
 def commands() -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Build of the site: pages from the code, links valid in repository and site, equations as MathML."""
+"""Build of the site: pages of modules and sources, links valid in repository and site, equations as MathML."""
 
 import ast
 import html
@@ -8,19 +8,12 @@ import re
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-import bus_messages
-import command_line
-import fmi_variables
-import markdown
-import metric_tables
-import observations
-import ros2_topics
-import scenario_fields
 from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
+from python_modules import dotted, first_line, modules
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 PROJECT = {
@@ -36,49 +29,6 @@ PROJECT = {
 
 SHIM = "assets/iframe-worker.js"
 
-MODULES = {
-    "Public interface": ("outrider",),
-    "Environments": (
-        "outrider/envs/parallel.py",
-        "sim/env/settings.py",
-        "sim/env/rewards.py",
-        "outrider/envs/vector.py",
-        "outrider/envs/single.py",
-        "outrider/envs/env_pilots.py",
-        "extensions/outrider_learning/transformation.py",
-        "extensions/outrider_learning/egocentric.py",
-        "extensions/outrider_learning/stacking.py",
-        "extensions/outrider_learning/sb3.py",
-        "extensions/outrider_learning/suite/tasks.py",
-        "extensions/outrider_learning/suite/board.py",
-        "outrider/registration.py",
-        "extensions/outrider_learning/registration.py",
-    ),
-    "Runs": (
-        "outrider/running/flying.py",
-        "sim/scenario/loading.py",
-        "sim/scenario/types.py",
-        "sim/world.py",
-    ),
-    "Vehicles": (
-        "agents/process.py",
-        "agents/uav.py",
-        "agents/ugv.py",
-        "agents/estimation/estimator.py",
-        "agents/drivers",
-    ),
-    "The paper's laws": (
-        "sim/models",
-        "sim/models/sensors",
-        "agents/control",
-        "agents/laws",
-        "agents/safety",
-    ),
-    "The bus": ("bus", "bus/messages"),
-    "Links": ("sim/channel", "sim/engine"),
-}
-"""Modules with a page of their own: files, or folders with their content."""
-
 _LINK = re.compile(
     r"^ *(`{3,}).*?^ *\1 *$|`[^`\n]+`|\]\((?P<to>[^)\s]+)\)", re.DOTALL | re.MULTILINE
 )
@@ -86,74 +36,14 @@ _LINK = re.compile(
 _MATH = re.compile(r'<(span|div) class="arithmatex">\s*\\([(\[])(.*?)\\[)\]]\s*</\1>', re.DOTALL)
 _FUNCTION = re.compile(r"(\[`([\w.]+)`\]\([^)#\s]+\.py)\)")
 """Link from a function's full name to its file."""
-_MARK = re.compile(r"<!-- generated: (\w+) -->")
-
-
-def modules() -> dict[str, list[str]]:
-    """Return the files of the modules with a page, by group."""
-    found: dict[str, list[str]] = {}
-    for group, places in MODULES.items():
-        files: list[str] = []
-        for place in places:
-            path = ROOT / place
-            inside = sorted(path.glob("*.py")) if path.is_dir() else [path]
-            if place == "outrider":
-                inside = [path / "__init__.py"]
-            files += [
-                str(one.relative_to(ROOT))
-                for one in inside
-                if one.name != "__init__.py" or place == "outrider"
-            ]
-        found[group] = files
-    return found
-
-
-def _dotted(file: str) -> str:
-    return (
-        file.removeprefix("extensions/")
-        .removesuffix(".py")
-        .removesuffix("/__init__")
-        .replace("/", ".")
-    )
 
 
 def _api(file: str) -> str:
-    return f"reference/api/{_dotted(file)}.md"
-
-
-def _first_line(file: str) -> str:
-    text = ast.get_docstring(ast.parse((ROOT / file).read_text(encoding="utf-8"))) or ""
-    return " ".join(text.partition("\n\n")[0].split())
-
-
-def _modules_table() -> str:
-    parts = []
-    for group, files in modules().items():
-        rows = [f"| [`{_dotted(f)}`](api/{_dotted(f)}.md) | {_first_line(f)} |" for f in files]
-        parts.append("\n".join([f"## {group}", "", "| module | description |", "|---|---|", *rows]))
-    return "\n\n".join(parts)
-
-
-GENERATED = {
-    "command_line": command_line.page,
-    "scenario_tables": scenario_fields.tables,
-    "scenarios_shipped": scenario_fields.shipped,
-    "metrics": metric_tables.tables,
-    "bus_keys": bus_messages.keys,
-    "bus_messages": bus_messages.messages,
-    "python_modules": _modules_table,
-    "fmi_pilots": fmi_variables.pilots,
-    "fmi_world": fmi_variables.world,
-    "fmi_driver": fmi_variables.driver,
-    "ros2_topics": ros2_topics.observed,
-    "ros2_pilot_topics": ros2_topics.own,
-    **observations.PAGES,
-}
-"""Generated text inserted after a comment `<!-- generated: NAME -->` of a page or docstring."""
+    return f"reference/api/{dotted(file)}.md"
 
 
 def _api_page(file: str) -> str:
-    name = _dotted(file)
+    name = dotted(file)
     if name != "outrider":
         return f"# {name}\n\n::: {name}\n"
     text = (ROOT / file).read_text(encoding="utf-8")
@@ -166,7 +56,7 @@ def _api_page(file: str) -> str:
         f"## outrider.{one}\n\n::: {module}.{one}\n    options:\n      heading_level: 3\n"
         for one, module in where.items()
     ]
-    return "# outrider\n\n" + _first_line(file) + "\n\n" + "\n".join(parts)
+    return "# outrider\n\n" + first_line(file) + "\n\n" + "\n".join(parts)
 
 
 def _source_page(path: str) -> str:
@@ -229,7 +119,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     for section in config.nav or []:
         if "Reference" in section:
             groups = [
-                {group: [{_dotted(file): _api(file)} for file in files]}
+                {group: [{dotted(file): _api(file)} for file in files]}
                 for group, files in modules().items()
             ]
             place = section["Reference"].index("reference/python.md")
@@ -268,7 +158,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Insert generated text, and redirect links to repository files to their pages."""
+    """Redirect links to repository files to their pages."""
     here = page.file.src_uri
     if here == "index.md":
         page.meta["hide"] = ["navigation"]
@@ -287,12 +177,11 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
 
     if here.startswith(("reference/api/", "source/")) and not origin.endswith(".md"):
         return markdown
-    text = _LINK.sub(lead, _FUNCTION.sub(r"\1#\2)", markdown))
-    return _MARK.sub(lambda found: GENERATED[found[1]](), text)
+    return _LINK.sub(lead, _FUNCTION.sub(r"\1#\2)", markdown))
 
 
 def on_page_content(content: str, **_: Any) -> str:
-    """Insert the tables of docstrings, and convert equations to MathML, which browsers display natively."""
+    """Convert equations to MathML, which browsers display natively."""
 
     def draw(found: re.Match[str]) -> str:
         tag, bracket, tex = found.groups()
@@ -300,10 +189,7 @@ def on_page_content(content: str, **_: Any) -> str:
         drawn = convert(words, display="block" if bracket == "[" else "inline")
         return f'<{tag} class="arithmatex">{drawn}</{tag}>'
 
-    def table(found: re.Match[str]) -> str:
-        return markdown.markdown(GENERATED[found[1]](), extensions=["tables"])
-
-    return _MATH.sub(draw, _MARK.sub(table, content))
+    return _MATH.sub(draw, content)
 
 
 def on_post_page(output: str, *, page: Page, **_: Any) -> str:

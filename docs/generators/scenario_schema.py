@@ -1,6 +1,6 @@
 """JSON Schema of the scenario file, from its types and the documentation of their fields.
 
-python docs/generators/scenario_schema.py writes sim/scenario/scenario.schema.json, which the package ships.
+`make reference` writes it to sim/scenario/scenario.schema.json, which the package ships.
 """
 
 import ast
@@ -21,6 +21,8 @@ from bus.profiles import PROFILES
 from bus.registry import LAWS
 from sim.scenario import types
 from sim.scenario.types import Scenario
+
+FILE = Path(types.__file__).with_name("scenario.schema.json")
 
 
 def field_docs(struct: type[msgspec.Struct]) -> dict[str, str]:
@@ -97,8 +99,3 @@ def law_parameters_schema() -> dict[str, Any]:
 def schema_text() -> str:
     """Return the schema as text with a final line break."""
     return msgspec.json.format(msgspec.json.encode(scenario_schema()), indent=2).decode() + "\n"
-
-
-if __name__ == "__main__":
-    file = Path(types.__file__).with_name("scenario.schema.json")
-    file.write_text(schema_text(), encoding="utf-8")

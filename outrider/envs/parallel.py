@@ -17,7 +17,7 @@ from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
 from bus.messages.links import LinkStatus
 from bus.messages.vehicle import Briefing, UavCommand, UgvCommand
-from bus.observations import STATE, bounds, state_names, with_tables
+from bus.observations import ALTITUDE, STATE, UAV, UGV, bounds, state_names, with_tables
 from outrider.envs.worlds import Worlds
 from outrider.running.metrics import MISSION, numbers
 from sim.engine.briefing import briefing
@@ -44,28 +44,19 @@ def _acceleration(action: Action, length: int) -> npt.ArrayLike:
     return action.acceleration if isinstance(action, UgvCommand) else action
 
 
-@with_tables
+@with_tables(
+    {"A UAV observes": UAV, "then, if it has an altitude": ALTITUDE, "A UGV observes": UGV}
+)
 class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     """A UAV escorts a UGV, covers as much ground around it as possible, and never loses sight of it.
 
     Agents are the scenario's vehicles. An action is an acceleration [m/s²], held for one tick; an action whose norm
     exceeds the bound of (1) is shortened. A pilot's command is also a valid action. An observation is the vehicle's own
-    row and nothing else; the complete true state is in `state()`. A UAV observes
+    row and nothing else; the complete true state is in `state()`. On ground with hazards a UGV's observation is a
+    dictionary: `row`, and `tiles`, a picture of its occupancy grid. `docs/reference/environment.md` shows the entries
+    of all rows; in code, `bus.observations` has them (`UAV`, `ALTITUDE`, `UGV`).
 
-    <!-- generated: uav_observation -->
-
-    after these, if it has an altitude,
-
-    <!-- generated: altitude_observation -->
-
-    and a UGV
-
-    <!-- generated: ugv_observation -->
-
-    On ground with hazards a UGV's observation is a dictionary: `row`, and `tiles`, a picture of its occupancy grid.
-
-    `bus.observations.SYMBOLS` explains the letters of the ranges. All agents end together.
-    `docs/reference/environment.md` is the environment's page.
+    All agents end together. `bus.observations.SYMBOLS` explains the letters of the ranges.
 
     Args:
         scenario: Shipped name, file, or scenario.
