@@ -88,7 +88,7 @@ class LinkStatus(Message, frozen=True, kw_only=True):
     in_transit: Tick
     """Messages on the link."""
     lost: dict[Text, Tick]
-    """Messages lost, by cause (`sim.channel.link.CAUSES`)."""
+    """Messages lost, by cause (`sim.channel.link_records.CAUSES`)."""
     delivery_ratio: Share | None = None
     """Share of messages delivered, of those delivered or lost."""
     age: NonNegative | None = None
