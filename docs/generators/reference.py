@@ -19,8 +19,6 @@ import ros2_topics
 import scenario_fields
 import scenario_schema
 
-from bus import plugins
-
 ROOT = Path(__file__).resolve().parent.parent.parent
 COMMAND = "make reference"
 GENERATED = {
@@ -76,8 +74,8 @@ def outdated() -> Iterator[tuple[Path, str]]:
 
 def missing() -> list[str]:
     """Return the commands whose libraries are missing here, so that the reference would lack them."""
-    entries = command_line.extensions().items()
-    return [name for name, entry in entries if not plugins.is_installed(entry)]
+    shown = {name for name, command in command_line.commands().items() if not command.hidden}
+    return sorted(command_line.extensions().keys() - shown)
 
 
 if __name__ == "__main__":
