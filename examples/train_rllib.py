@@ -76,7 +76,7 @@ def main():
             num_epochs=6,
             gamma=0.995,
         )
-        # Without a seed every runner repeats the episodes of the scenario's seed.
+        # Each runner derives its own seed from this one.
         .debugging(seed=args.seed)
     )
     ray.init(num_cpus=args.runners + 1, include_dashboard=False)

@@ -13,6 +13,8 @@ from gymnasium.spaces.utils import flatten_space
 
 from bus.errors import ScenarioError
 from outrider.envs.parallel import parallel_env
+from outrider.envs.single import single_env
+from outrider.envs.vector import parallel_vector_env, vector_env
 from sim.engine.briefing import briefing
 from sim.env.spaces import FREE_ACCELERATION, extent_of
 from sim.models.vehicles import clip_norm
@@ -226,17 +228,35 @@ def test_same_seed_same_bits_for_more_than_a_thousand_ticks(scenario, options):
     assert steps == 1200
 
 
-def test_resets_without_a_seed_go_on_deterministically():
-    def seeds(env, *given):
-        return [env.reset(seed=seed) and env.episode_seed for seed in given]
+def episode_seeds(env, *given):
+    return [env.reset(seed=seed) and env.episode_seed for seed in given]
 
+
+def test_unseeded_environments_are_different_worlds():
+    """As in Gymnasium; also copies for worker processes, and the worlds of a batch."""
+    made = [parallel_env(ONE), single_env(ONE), vector_env(ONE, num_envs=2)]
+    made += [pickle.loads(pickle.dumps(env)) for env in made]  # noqa: S301
+    made += [parallel_vector_env(ONE, num_envs=2)]
+    for env in made:
+        env.reset()
+    drawn = [seed for env in made for seed in env.unwrapped.worlds.episode_seeds]
+    assert len(set(drawn)) == len(drawn) == 10
+    first, again = parallel_env(ONE), parallel_env(ONE)
+    rows, _ = first.reset()
+    assert equal(again.reset(seed=first.episode_seed)[0], rows)
+    assert equal(again.reset(), first.reset())
+    assert not equal(first.reset()[0], rows)
+
+
+def test_resets_without_a_seed_go_on_deterministically():
+    seeds = episode_seeds
     first = seeds(parallel_env(ONE), 4, None, None, None)
     assert first[0] == 4
     assert len(set(first)) == 4
     assert seeds(parallel_env(ONE), None, None, 4, None, None, None)[2:] == first
-    unseeded = msgspec.structs.replace(ONE, seed=123)
-    assert seeds(parallel_env(unseeded), None, None)[0] == 123
-    assert seeds(parallel_env(unseeded), None, None) == seeds(parallel_env(ONE), 123, None)
+    unseeded = parallel_env(ONE)
+    before = unseeded.episode_seed  # of the pilots that are briefed before the first reset
+    assert seeds(unseeded, None, None) == seeds(parallel_env(ONE), before, None)
     assert all(0 <= seed < 2**53 for seed in first)
     env = parallel_env(ONE)
     assert seeds(env, 4, None)[1] == env.world.seed

@@ -121,7 +121,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
 
     @property
     def episode_seed(self) -> int:
-        """Seed of the current episode; before the first reset, the default seed of the first one."""
+        """Seed of the current episode; before the first reset, the seed of a first reset without one."""
         return self.worlds.episode_seeds[0]
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
@@ -138,8 +138,9 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """Begin an episode.
 
         Args:
-            seed: Seed of all random numbers of the episode. Without one, the first episode has the scenario's seed, and
-                each later one a seed derived from the last given seed and the number of episodes since.
+            seed: Seed of all random numbers of the episode. Without one, the first episode has a seed from the
+                operating system, and each later one a seed derived from the last given or drawn seed and the number of
+                episodes since.
             options: Not used.
 
         Returns:

@@ -58,8 +58,9 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         """Begin an episode.
 
         Args:
-            seed: Seed of all random numbers of the episode. Without one, the first episode has the scenario's seed, and
-                each later one a seed derived from the last given seed and the number of episodes since.
+            seed: Seed of all random numbers of the episode. Without one, the first episode has a seed from the
+                operating system, and each later one a seed derived from the last given or drawn seed and the number of
+                episodes since.
             options: Not used.
 
         Returns:

@@ -85,8 +85,9 @@ class OutriderVectorEnv(VectorEnv):
         """Begin an episode in every world.
 
         Args:
-            seed: World k gets seed + k; or a sequence with one seed per world. Without any, the first episodes have the
-                scenario's seed and its successors, and each later one a seed derived from its world's last given seed.
+            seed: World k gets seed + k; or a sequence with one seed per world. Without any, each world's first episode
+                has a seed from the operating system, and each later one a seed derived from its world's last one given
+                or drawn.
             options: `reset_mask`, booleans that select the worlds to reset. Shape (num_envs,).
 
         Returns:

@@ -111,7 +111,7 @@ class Worlds:
         self.action_lengths = {name: one.shape[0] for name, one in self.action_spaces.items()}
         """Number of entries of an action, by vehicle."""
         self.observation_spaces = self._format.spaces
-        self._seeds = [Seeds(self.scenario.seed + k) for k in range(self.num_envs)]
+        self._seeds = [Seeds() for _ in range(self.num_envs)]
         self._actions: FloatArray = np.zeros((self.num_envs, len(self._external), 3))
         self.has_episode = False
         """True after the first reset."""
@@ -196,7 +196,7 @@ class Worlds:
         """Begin episodes in all worlds, or in the worlds selected by `options["reset_mask"]`.
 
         Args:
-            seed: Seed of world 0, with seed + k for world k; or one seed per world; None: the next ones.
+            seed: Seed of world 0, with seed + k for world k; or one seed per world; None: the next ones, as in `Seeds`.
             options: None, or a `reset_mask`. Shape (num_envs,).
 
         Returns:
@@ -246,7 +246,10 @@ class Worlds:
 
     @property
     def episode_seeds(self) -> list[int]:
-        """Seed of each world's episode; `outrider run --seed` with it flies the same one."""
+        """Seed of each world's episode; `outrider run --seed` with it flies the same one.
+
+        Before the first reset, these are the seeds of a first reset without any.
+        """
         return [seeds.current for seeds in self._seeds]
 
     def step(

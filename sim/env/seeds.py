@@ -1,24 +1,29 @@
 """Seeds of episodes."""
 
+import secrets
+
 import numpy as np
 
+from bus.messages.base import MAX_SEED
 from sim.engine.run_keys import check_seed
 
 
 class Seeds:
     """Seeds of an environment's episodes.
 
-    Args:
-        first: Seed of the first episode, if `reset` gives none.
-
-    Raises:
-        ValueError: If the seed is not a whole number from 0 to 2**53 - 1.
+    Without a given seed, the first one comes from the operating system, so that no two environments are the same.
     """
 
-    def __init__(self, first: int) -> None:
-        self.current = check_seed(first)
-        """Seed of this episode."""
-        self._given, self._since, self._started = self.current, 0, False
+    def __init__(self) -> None:
+        self._current: int | None = None
+        self._given, self._since, self._started = 0, 0, False
+
+    @property
+    def current(self) -> int:
+        """Seed of this episode; before the first episode, its seed if none is given."""
+        if self._current is None:
+            self._current = self._given = secrets.randbelow(MAX_SEED + 1)
+        return self._current
 
     @staticmethod
     def check(seed: int | None) -> None:
@@ -33,16 +38,19 @@ class Seeds:
     def begin(self, seed: int | None) -> None:
         """Start the next episode.
 
-        Its seed is the given one, or derived from the last given seed and the number of episodes since.
+        Its seed is the given one. Without one, the first seed is drawn from the operating system, and a later one is
+        derived from the last given or drawn seed and the number of episodes since.
 
         Raises:
             ValueError: If the seed is not a whole number from 0 to 2**53 - 1.
         """
         if seed is not None:
-            self.current, self._since = check_seed(seed), 0
-            self._given = self.current
+            self._current = self._given = check_seed(seed)
+            self._since = 0
         elif self._started:
             self._since += 1
             words = np.random.SeedSequence((self._given, self._since)).generate_state(1, np.uint64)
-            self.current = int(words[0]) >> 11
+            self._current = int(words[0]) >> 11
+        else:
+            _ = self.current  # draws it
         self._started = True
