@@ -18,6 +18,7 @@ from outrider.envs.vector import parallel_vector_env, vector_env
 from sim.engine.briefing import briefing
 from sim.env.spaces import FREE_ACCELERATION, extent_of
 from sim.models.vehicles import clip_norm
+from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, Uav
 from sim.world import World
 from worlds import BLURRED, FAST, FREE, ONE, POOR, SEVERAL, equal
@@ -226,6 +227,43 @@ def test_same_seed_same_bits_for_more_than_a_thousand_ticks(scenario, options):
         assert equal(first.metrics(), second.metrics())
         steps += 1
     assert steps == 1200
+
+
+@pytest.mark.parametrize(
+    ("scenario", "options"),
+    [
+        pytest.param(msgspec.structs.replace(ONE, links=POOR), {}, id="links"),
+        pytest.param(ONE, {"safety_filter": True}, id="filter"),
+        pytest.param(load_scenario("minefield"), {"safety_filter": True}, id="ground"),
+    ],
+)
+def test_infos_are_numbers_under_the_same_keys(scenario, options):
+    """From the first reset into the third episode, for learning libraries."""
+    env = parallel_env(scenario, duration=0.1, **options)
+    singles = {name: single_env(scenario, agent=name, duration=0.1, **options) for name in GOOD}
+    many = parallel_vector_env(scenario, num_envs=2, duration=0.1, **options)
+    (_, infos), (_, batch) = env.reset(seed=1), many.reset(seed=1)
+    first, first_batch = infos, batch
+    own = {name: one.reset(seed=1)[1] for name, one in singles.items()}
+    for _ in range(6):
+        if not env.agents:
+            (_, infos), own = env.reset(), {name: one.reset()[1] for name, one in singles.items()}
+        for name, info in infos.items():
+            assert info.keys() == first[name].keys() == own[name].keys()
+            assert [type(value) for value in info.values()] == [
+                type(value) for value in first[name].values()
+            ]
+            assert all(isinstance(value, (bool, int, float)) for value in info.values())
+            assert {key for key in batch[name] if key[0] != "_"} - {"final_obs", "final_info"} == (
+                info.keys()
+            )
+            assert all(
+                (batch[name][key].dtype, batch[name][key].shape) == (value.dtype, value.shape)
+                for key, value in first_batch[name].items()
+            )
+        *_, infos = env.step(GOOD)
+        own = {name: one.step(GOOD[name])[-1] for name, one in singles.items()}
+        *_, batch = many.step({name: np.tile(one, (2, 1)) for name, one in GOOD.items()})
 
 
 def episode_seeds(env, *given):

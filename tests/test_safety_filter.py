@@ -18,6 +18,7 @@ from flights import DT, U_A, V_A, briefing_of, distances, uav_sees
 from outrider.envs.parallel import parallel_env
 from outrider.running.assumptions import assumption_warnings
 from outrider.running.flying import fly
+from sim.compiling.records import code
 from sim.models.vehicles import step_vehicle
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, Detections, LinkTable, Scenario
@@ -148,7 +149,7 @@ def test_filtered_environment_keeps_sight_for_any_policy(options) -> None:
         *_, infos = env.step({"uav_0": outward(env), "ugv_0": FLEEING})
         intervened += infos["uav_0"]["overridden"]
         assert infos["uav_0"]["certified"], infos
-        assert infos["uav_0"]["uncertified"] == ""
+        assert infos["uav_0"]["uncertified"] == 0
         bound = infos["uav_0"]["certified_distance"] + 0.05
         assert env.metrics()["uav_0"]["distance"] < min(R_V, bound)
     assert env.world.tick == 120.0 / DT
@@ -178,7 +179,8 @@ def test_a_tick_that_is_not_certified_says_why() -> None:
         env.reset(seed=7)
         *_, infos = env.step(dict.fromkeys(env.agents, np.zeros(2)))
         assert not infos["uav_0"]["certified"]
-        assert infos["uav_0"]["uncertified"] == reason
+        assert infos["uav_0"]["uncertified"] == code(NotCertified(reason))
+        assert env.metrics()["uav_0"]["uncertified"] == reason
 
 
 def test_safety_filter_can_start_in_flight() -> None:

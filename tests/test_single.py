@@ -9,8 +9,10 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
+from bus.messages.decision import NotCertified
 from outrider.envs.single import single_env
 from outrider.envs.vector import vector_env
+from sim.compiling.records import code
 from sim.env.observation import one_of_world
 from worlds import CASES, SCENARIOS, equal, random_actions
 
@@ -42,7 +44,7 @@ def test_it_is_world_0_of_the_vector_environment_also_over_ends(name: str) -> No
             with pytest.raises(ResetNeeded, match="after the end"):
                 one.step(actions[0])
             last, _ = one.reset()
-        for key in info.keys() - {"uncertified"}:
+        for key in info:
             assert info[key] == infos[key][0]
         assert one.episode_seed == many.worlds.episode_seeds[0]
 
@@ -62,15 +64,16 @@ def test_what_it_returns_has_gymnasiums_types() -> None:
     assert info == {
         "overridden": False,
         "certified": False,
-        "uncertified": "NO_MEASUREMENT",
+        "uncertified": code(NotCertified.NO_MEASUREMENT),
         "certified_distance": math.inf,
     }
     seen, reward, terminated, truncated, info = env.step([0, 0])
     assert env.observation_space.contains(seen)
     assert [type(value) for value in (reward, terminated, truncated)] == [float, bool, bool]
-    assert [type(value) for value in info.values()] == [bool, bool, str, float]
+    assert [type(value) for value in info.values()] == [bool, bool, int, float]
     metrics = env.metrics()["uav_0"]
     assert metrics["ticks"] == 1.0
+    assert metrics.pop("uncertified") in ("", *NotCertified)
     assert all(type(value) is float for value in metrics.values())
     env.close()
     assert type(single_env(SCENARIO, agent="ugv_0").reset()[1]["goals_reached"]) is int

@@ -8,7 +8,6 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from outrider.envs.worlds import BoolArray, Worlds
-from outrider.running.metrics import MISSION, numbers
 from sim.compiling.compile import FloatArray, IntArray
 from sim.env.observation import AgentObservation, one_of_world
 
@@ -93,8 +92,7 @@ class AutoresetWorlds(Worlds):
             self.reset(None, {"reset_mask": over})
         self._over = ended
         rewards = {name: self.rewards(name) for name in self.learners}
-        final = {name: _masked(self._mission(name, ended), ended) for name in self.learners}
-        return self._stepped(rewards, *self.ends(), final)
+        return self._stepped(rewards, *self.ends(), {name: {} for name in self.learners})
 
     def _stepped(
         self,
@@ -118,7 +116,6 @@ class AutoresetWorlds(Worlds):
         for k in np.flatnonzero(ended).tolist():
             observations[k] = one_of_world(last, k)
         info = {key: value for key, value in infos.items() if not key.startswith("_")}
-        info |= self._mission(name, ended)
         info["episode"] = {
             "r": np.where(ended, self._returns[:, self.loop.names.index(name)], 0.0),
             "l": np.where(ended, self.loop.state.batch.ticks, 0),
@@ -126,16 +123,6 @@ class AutoresetWorlds(Worlds):
             "_l": ended.copy(),
         }
         return _masked({"final_obs": observations, "final_info": _masked(info, ended)}, ended)
-
-    def _mission(self, name: str, ended: BoolArray) -> dict[str, Any]:
-        """Return the mission results of the ended episodes, for a UGV."""
-        info: dict[str, Any] = {}
-        if name in self.loop.ugvs and self.scenario.has_ground:
-            for k in np.flatnonzero(ended).tolist():
-                for key, number in numbers(MISSION, self.loop.mission(k)).items():
-                    none = np.zeros(self.num_envs, np.asarray(number).dtype)
-                    info.setdefault(key, none)[k] = number
-        return info
 
 
 def _masked(info: Mapping[str, Any], ended: BoolArray) -> dict[str, Any]:

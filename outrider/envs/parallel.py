@@ -19,7 +19,6 @@ from bus.messages.links import LinkStatus
 from bus.messages.vehicle import Briefing, UavCommand, UgvCommand
 from bus.observations import ALTITUDE, STATE, UAV, UGV, bounds, state_names, with_tables
 from outrider.envs.worlds import Worlds
-from outrider.running.metrics import MISSION, numbers
 from sim.engine.briefing import briefing
 from sim.engine.run_keys import check_secret
 from sim.env.actions import take_actions
@@ -218,23 +217,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
                 self._view.show_route(name, command.route)
 
     def _infos(self) -> dict[str, dict[str, Any]]:
-        """Return each vehicle's own facts that are not in its row.
-
-        The last infos of an episode also contain the counters of a vehicle's links, if the network is not perfect, and
-        the mission result of a UGV, on ground with hazards.
-        """
-        infos = {name: self.worlds.info(name) for name in self.possible_agents}
-        if self.agents:
-            return infos
-        links, mission = self.links() if self.degraded else {}, self.worlds.mission(0)
-        for name, info in infos.items():
-            if self.degraded:
-                info["links"] = {
-                    key: one for key, one in links.items() if key.rpartition("/")[0] == name
-                }
-            if mission is not None and name in self.worlds.loop.ugvs:
-                info.update(numbers(MISSION, mission))
-        return infos
+        """Return each vehicle's own facts that are not in its row: always the same keys, and numbers only."""
+        return {name: self.worlds.info(name) for name in self.possible_agents}
 
     def _observations(self) -> dict[str, AgentObservation]:
         """Return a new array for each vehicle, which is never changed later."""
@@ -282,14 +266,19 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             low, high = low + least, high + largest
         return box(low, high, self.worlds.settings.dtype)
 
-    def metrics(self) -> dict[str, dict[str, float]]:
+    def metrics(self) -> dict[str, dict[str, Any]]:
         """Return each vehicle's true metrics and the terms of its last reward: for people and logs, not for policies.
+
+        A UAV inside the safety filter also has `uncertified`, the reason of `NotCertified`; empty: certified.
 
         Raises:
             ResetNeeded: Before the first reset.
         """
         _ = self.world  # raises before the first reset
-        return {name: self._standings.metrics(name) for name in self.possible_agents}
+        return {
+            name: self._standings.metrics(name) | self.worlds.reasons(name)
+            for name in self.possible_agents
+        }
 
     def links(self) -> dict[str, LinkStatus]:
         """Return the counters of each link so far, by `vehicle/kind`: for people and logs, not for policies.

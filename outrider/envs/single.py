@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.error import ResetNeeded
 
+from bus.messages.links import LinkStatus
 from outrider.envs.worlds import PICTURES, Worlds
-from outrider.running.metrics import MISSION, numbers
 from sim.env.actions import take_actions
 from sim.env.observation import AgentObservation, one_of_world
 from sim.env.seeds import Seeds
@@ -73,7 +73,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         super().reset(seed=None if seed is None else int(seed))  # Gymnasium rejects NumPy integers
         self.worlds.reset([seed], None)
         self._over = False
-        return self._observation(), self._info()
+        return self._observation(), self.worlds.info(self.agent)
 
     def step(
         self, action: npt.ArrayLike
@@ -106,30 +106,30 @@ class SingleEnv(gymnasium.Env[Any, Any]):
             float(self.worlds.rewards(self.agent)[0]),
             terminated,
             truncated,
-            self._info(),
+            self.worlds.info(self.agent),
         )
 
     def _observation(self) -> AgentObservation:
         return one_of_world(self.worlds.observe(self.agent), 0)
-
-    def _info(self) -> dict[str, Any]:
-        """Return the vehicle's own facts that are not in its row, as plain numbers."""
-        info = self.worlds.info(self.agent)
-        mission = self.worlds.mission(0) if self._over else None
-        is_ugv = self.agent in self.worlds.loop.ugvs
-        return info | (numbers(MISSION, mission) if mission is not None and is_ugv else {})
 
     @property
     def episode_seed(self) -> int:
         """Seed of the current episode; `outrider run --seed` with it flies the same one."""
         return self.worlds.episode_seeds[0]
 
-    def metrics(self) -> dict[str, dict[str, float]]:
-        """Return each UAV's true metrics in this episode: for people and logs, not for policies."""
+    def metrics(self) -> dict[str, dict[str, Any]]:
+        """Return each UAV's true metrics in this episode: for people and logs, not for policies.
+
+        A UAV inside the safety filter also has `uncertified`, the reason of `NotCertified`; empty: certified.
+        """
         return {
-            uav: {key: float(array[0]) for key, array in metrics.items()}
+            uav: {key: float(array[0]) for key, array in metrics.items()} | self.worlds.reasons(uav)
             for uav, metrics in self.worlds.metrics().items()
         }
+
+    def links(self) -> dict[str, LinkStatus]:
+        """Return the counters of each link so far, by `vehicle/kind`: for people and logs, not for policies."""
+        return self.worlds.links(0)
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """Return a picture of the current tick, shape (rows, columns, 3); None without a render mode.

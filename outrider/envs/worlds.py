@@ -14,12 +14,12 @@ from gymnasium import logger
 from gymnasium.error import ResetNeeded
 
 from agents.safety.decision import CERTIFIED, NOMINAL
-from bus.messages.base import or_infinite
 from bus.messages.links import LinkStatus
 from bus.messages.telemetry import MissionResult
 from bus.observations import as_rows
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.pilot_numbers import pilot_names
+from outrider.running.metrics import MISSION, numbers
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
 from sim.env.actions import take_batch
@@ -164,31 +164,47 @@ class Worlds:
         """Return whether a vehicle has external actions that pass through the safety filter."""
         return self.settings.safety_filter and name in self._external and name in self.loop.uavs
 
-    def infos(self, name: str) -> dict[str, Any]:
-        """Return a vehicle's own facts that are not in its row, in all worlds, with Gymnasium's masks."""
-        found: dict[str, Any] = {}
+    def _facts(self, name: str) -> dict[str, npt.NDArray[Any]]:
+        """Return a vehicle's own facts that are not in its row, in all worlds.
+
+        The keys never change. Mission results are NaN before the end of the episode.
+        """
+        found: dict[str, npt.NDArray[Any]] = {}
         if name in self.loop.ugvs:
             found["goals_reached"] = self.standings(name)["reached"].copy()
+            if self.scenario.has_ground:
+                found |= self._mission_facts()
         elif self.is_filtered(name):
             rows = self.loop.decisions(name)
             found["overridden"] = rows["source"] != NOMINAL
             found["certified"] = rows["reason"] == CERTIFIED
+            found["uncertified"] = rows["reason"].copy()
             found["certified_distance"] = rows["certified_distance"].copy()
+        return found
+
+    def _mission_facts(self) -> dict[str, FloatArray]:
+        """Return the mission metrics of the worlds whose episode has ended; NaN in the others."""
+        found = {key: np.full(self.num_envs, np.nan) for key in MISSION}
+        for k in np.flatnonzero(np.logical_or(*self.ends())).tolist():
+            for key, number in numbers(MISSION, self.loop.mission(k)).items():
+                found[key][k] = number
+        return found
+
+    def infos(self, name: str) -> dict[str, Any]:
+        """Return a vehicle's own facts that are not in its row, in all worlds, with Gymnasium's masks."""
+        found = self._facts(name)
         return found | {f"_{key}": np.ones(self.num_envs, dtype=np.bool_) for key in found}
 
     def info(self, name: str) -> dict[str, Any]:
-        """Return the facts of the first world as plain numbers, with the reason if the action was not certified."""
-        if name in self.loop.ugvs:
-            return {"goals_reached": self.standings(name)["reached"].item(0)}
+        """Return a vehicle's own facts in the first world as plain numbers."""
+        return {key: array.item(0) for key, array in self._facts(name).items()}
+
+    def reasons(self, name: str) -> dict[str, str]:
+        """Return the reason for the last uncertified tick of a filtered UAV in the first world, in words for people."""
         if not self.is_filtered(name):
             return {}
-        decision = self.loop.decision(name)
-        return {
-            "overridden": decision.overridden,
-            "certified": decision.certified,
-            "uncertified": decision.reason.value if decision.reason else "",
-            "certified_distance": or_infinite(decision.certified_distance),
-        }
+        reason = self.loop.decision(name).reason
+        return {"uncertified": "" if reason is None else reason.value}
 
     def reset(
         self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None

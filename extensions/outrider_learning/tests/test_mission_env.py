@@ -57,8 +57,9 @@ def test_vector_world_has_the_bits_of_the_parallel_environment() -> None:
     env = outrider.parallel_env(grounded(), rewards=PAID)
     worlds = outrider.parallel_vector_env(grounded(), num_envs=2, rewards=PAID)
     law, paid = pilots(env)["uav_0"], dict.fromkeys(env.possible_agents, 0.0)
-    seen, _ = env.reset(seed=5)
+    seen, infos = env.reset(seed=5)
     all_seen, _ = worlds.reset(seed=[5, 6])
+    assert all(math.isnan(infos["ugv_0"][key]) for key in infos["ugv_0"] if key != "goals_reached")
     while env.agents:
         assert all(equal(seen[name], one_of_world(all_seen[name], 0)) for name in seen)
         actions = {

@@ -115,7 +115,8 @@ def test_ended_episode_has_final_infos_and_the_next_its_own():
     raw.reset(seed=1)
     adapter.seed(1)
     adapter.reset()
-    assert adapter.reset_infos[0].keys() == {"overridden", "certified", "certified_distance"}
+    facts = {"overridden", "certified", "uncertified", "certified_distance"}
+    assert adapter.reset_infos[0].keys() == facts
     adapter.reset_infos = [{}, {}, {}]
     for _ in range(2):
         *_, raw_infos = raw.step(np.tile(OUTWARDS, (3, 1)))

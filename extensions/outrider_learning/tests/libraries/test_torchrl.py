@@ -3,12 +3,10 @@
 import json
 import runpy
 
-import msgspec
 import numpy as np
 import pytest
 import torch
 from episodes import APART, DURATIONS, EXAMPLES, flown, run_example
-from pettingzoo.utils import BaseParallelWrapper
 from torchrl.envs import GymWrapper, PettingZooWrapper
 from torchrl.envs.utils import check_env_specs
 
@@ -16,7 +14,6 @@ import outrider
 from outrider_learning.stacking import Stack
 from outrider_learning.transformation import Transformed
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import LinkSettings, LinkTable
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:PettingZoo in TorchRL is tested using:UserWarning",
@@ -164,26 +161,29 @@ def test_policies_see_no_state():
         assert learner.advantages.value_network.in_keys == ["state"]
 
 
-def test_a_bad_network_needs_its_infos_left_out():
-    """TorchRL accepts only numbers in infos, see docs/how-to/learning.md."""
-
-    class WithoutInfos(BaseParallelWrapper):
-        def reset(self, seed=None, options=None):
-            observations, infos = super().reset(seed=seed, options=options)
-            return observations, {name: {} for name in infos}
-
-        def step(self, actions):
-            *results, infos = super().step(actions)
-            return *results, {name: {} for name in infos}
-
-    poor = msgspec.structs.replace(
-        load_scenario("escort"), links=LinkTable(detections=LinkSettings(delay=0.2))
+@pytest.mark.parametrize(
+    ("scenario", "options"),
+    [
+        pytest.param(load_scenario("escort"), {}, id="escort"),
+        pytest.param(load_scenario("escort"), {"safety_filter": True}, id="filter"),
+        pytest.param(load_scenario("town"), {"safety_filter": True}, id="town"),
+        pytest.param(load_scenario("minefield"), {}, id="minefield"),
+        pytest.param(load_scenario("escort", overrides=["links.profile=jammed"]), {}, id="jammed"),
+    ],
+)
+def test_torchrl_flies_into_the_third_episode(scenario, options):
+    env = PettingZooWrapper(
+        outrider.parallel_env(scenario, duration=0.5, end_on_sight_lost=False, **options),
+        return_state=True,
     )
-    check_env_specs(
-        PettingZooWrapper(
-            WithoutInfos(outrider.parallel_env(poor, duration=2.0)), return_state=True
-        )
-    )
+    check_env_specs(env)
+    frames = env.rollout(25, break_when_any_done=False)
+    assert int(frames["next", "truncated"].sum()) == 2
+    if options:
+        assert frames["next", "uav", "info", "uncertified"].shape == (25, 1)
+    if scenario.has_ground:
+        times = frames["next", "ugv", "info", "stationary_time"].flatten()
+        assert torch.equal(torch.isfinite(times), frames["next", "truncated"].flatten())
 
 
 def test_the_example_learns_saves_and_evaluates(tmp_path):
