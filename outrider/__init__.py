@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from bus.errors import ScenarioError as ScenarioError
     from outrider.envs.parallel import parallel_env as parallel_env
     from outrider.envs.single import single_env as single_env
     from outrider.envs.vector import parallel_vector_env as parallel_vector_env
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 _WHERE = {
     "RewardWeights": "sim.env.rewards",
+    "ScenarioError": "bus.errors",
     "load_scenario": "sim.scenario.loading",
     "parallel_env": "outrider.envs.parallel",
     "parallel_vector_env": "outrider.envs.vector",
@@ -34,6 +36,7 @@ _WHERE = {
 
 __all__ = [
     "RewardWeights",
+    "ScenarioError",
     "load_scenario",
     "parallel_env",
     "parallel_vector_env",

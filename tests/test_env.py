@@ -204,6 +204,26 @@ def test_nothing_works_before_the_first_reset_or_after_the_end():
     env.step(GOOD)
 
 
+@pytest.mark.parametrize(
+    ("setting", "phrase"),
+    [
+        ({"coverage_patch": 32}, r"coverage_patch = 32: not a pair; allowed: \(pixels"),
+        ({"gradients": True}, "'gradients': unknown setting .did you mean 'gradient'"),
+        ({"num_envs": 4}, "'num_envs': unknown setting .for many worlds: outrider.vector_env"),
+    ],
+)
+def test_a_wrong_setting_says_what_was_meant(setting, phrase):
+    with pytest.raises((TypeError, ValueError), match=phrase):
+        parallel_env(ONE, **setting)
+
+
+def test_actions_that_are_not_by_agent_are_refused():
+    for env in (parallel_env(ONE), parallel_vector_env(ONE, num_envs=1)):
+        env.reset(seed=1)
+        with pytest.raises(ValueError, match="actions = None: not by agent; allowed: a dictionary"):
+            env.step(None)
+
+
 def test_an_unknown_scenario_or_agent_is_refused():
     with pytest.raises(ScenarioError, match="no_such_scenario"):
         parallel_env("no_such_scenario")

@@ -210,7 +210,11 @@ REFUSALS: dict[type[Exception], list[tuple[Any, dict[str, Any], str]]] = {
         (ALL, {"end_on_sight_lost": None}, "end_on_sight_lost = None; allowed: True, False"),
         (ALL, {"estimate": "no"}, "estimate = 'no'; allowed: True, False"),
         (ALL, {"others": "evade"}, "others = 'evade'; allowed: pilots by vehicle, or None"),
-        (EVERY, {"durations": 2.0}, r"'durations': unknown setting; allowed: .*duration, "),
+        (
+            EVERY,
+            {"durations": 2.0},
+            r"'durations': unknown setting .did you mean 'duration'.*allowed: .*duration, ",
+        ),
     ],
     ScenarioError: [
         *((EVERY, {"duration": t}, "duration") for t in (0.0, -1.0, 0.12, math.nan, math.inf)),

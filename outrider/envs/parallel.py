@@ -21,7 +21,7 @@ from bus.observations import ALTITUDE, STATE, UAV, UGV, bounds, state_names, wit
 from outrider.envs.worlds import Worlds
 from sim.engine.briefing import briefing
 from sim.engine.run_keys import check_secret
-from sim.env.actions import take_actions
+from sim.env.actions import check_by_agent, take_actions
 from sim.env.observation import AgentObservation, Array, one_of_world
 from sim.env.seeds import Seeds
 from sim.env.spaces import box, extent_of
@@ -180,6 +180,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         world, loop = self.world, self.worlds.loop
         if not self.agents:
             raise ResetNeeded("step() after the end of the episode: call reset() first")
+        check_by_agent(actions, self.possible_agents)
         self._actions[0] = self._taken(actions)
         for name, action in actions.items():
             if isinstance(action, (UavCommand, UgvCommand)):

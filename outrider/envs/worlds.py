@@ -22,7 +22,7 @@ from outrider.envs.pilot_numbers import pilot_names
 from outrider.running.metrics import MISSION, numbers
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
-from sim.env.actions import take_batch
+from sim.env.actions import check_by_agent, take_batch
 from sim.env.observation import AgentObservation, ObservationFormat
 from sim.env.seeds import Seeds
 from sim.env.settings import settings_of
@@ -71,6 +71,7 @@ class Worlds:
         scenario: str | Path | Scenario,
         num_envs: int,
         learners: Sequence[str] | None,
+        /,  # so that `num_envs` of an environment with one world is an unknown setting
         *,
         error: bool = False,
         render_mode: str | None = None,
@@ -288,6 +289,7 @@ class Worlds:
         """
         if not self.has_episode:
             raise ResetNeeded("step() before reset()")
+        check_by_agent(actions, self.learners)
         if set(actions) != set(self.learners):
             given = ", ".join(map(str, actions)) or "none"
             raise ValueError(

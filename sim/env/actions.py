@@ -1,6 +1,6 @@
 """Checks of the agents' actions, which become the world's commands."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,18 @@ Lengths = Mapping[str, int]
 
 _COUNTS = {2: "two", 3: "three"}
 _MEANINGS = {2: "the acceleration x and y [m/s²]", 3: "the acceleration x, y and z [m/s²]"}
+
+
+def check_by_agent(actions: object, agents: Iterable[str]) -> None:
+    """Check that actions are given by agent.
+
+    Raises:
+        ValueError: If they are not a mapping.
+    """
+    if not isinstance(actions, Mapping):
+        raise ValueError(
+            f"actions = {actions!r}: not by agent; allowed: a dictionary with one for each of {', '.join(agents)}"
+        )
 
 
 def take_actions(actions: Mapping[str, npt.ArrayLike], lengths: Lengths) -> list[list[float]]:

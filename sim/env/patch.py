@@ -23,7 +23,12 @@ def given_patch(given: CoveragePatch | tuple[int, float] | None) -> CoveragePatc
     """
     if given is None:
         return None
-    pixels, size = given
+    try:
+        pixels, size = given
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"coverage_patch = {given!r}: not a pair; allowed: (pixels, meters_per_pixel), such as (32, 0.5), or None"
+        ) from None
     if not (1 <= pixels <= MOST_PIXELS and pixels == int(pixels)):
         raise ValueError(
             f"coverage_patch: pixels = {pixels!r}; allowed: a whole number from 1 to {MOST_PIXELS}"

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
+from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
@@ -85,5 +86,11 @@ def settings_of(given: Mapping[str, Any]) -> Settings:
     names = [one.name for one in fields(Settings)]
     for name in given:
         if name not in names:
-            raise TypeError(f"{name!r}: unknown setting; allowed: {', '.join(sorted(names))}")
+            close = get_close_matches(name, names, 1)
+            meant = f" (did you mean {close[0]!r}?)" if close else ""
+            if name == "num_envs":
+                meant = " (for many worlds: outrider.vector_env, outrider.parallel_vector_env)"
+            raise TypeError(
+                f"{name!r}: unknown setting{meant}; allowed: {', '.join(sorted(names))}"
+            )
     return Settings(**given)
