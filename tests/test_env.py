@@ -297,7 +297,7 @@ def test_unseeded_environments_are_different_worlds():
     made += [parallel_vector_env(ONE, num_envs=2)]
     for env in made:
         env.reset()
-    drawn = [seed for env in made for seed in env.unwrapped.worlds.episode_seeds]
+    drawn = [seed for env in made for seed in getattr(env, "unwrapped", env).worlds.episode_seeds]
     assert len(set(drawn)) == len(drawn) == 10
     first, again = parallel_env(ONE), parallel_env(ONE)
     rows, _ = first.reset()
