@@ -12,6 +12,8 @@ from sim.env.observation import Array
 
 LARGEST, SMALLEST = 1e12, 1e-9
 """Bounds of the magnitude of a positive number."""
+_MOST_ENTRIES = 1 << 20
+"""Largest number of entries of a table."""
 MOST_TICKS = 100_000
 """Largest number of ticks for which an action is repeated."""
 
@@ -54,6 +56,23 @@ def row(name: str, values: object, low: float, *, most: int, least: int = 1) -> 
     count = f"{most}" if least == most else f"{least} to {most}"
     kind = "a number" if most == 1 else f"{count} numbers"
     raise ValueError(f"{name} = {_shown(shown)}; allowed: {kind} from {low:g} to {LARGEST:g}")
+
+
+def table(name: str, values: object, low: float) -> Array:
+    """Return nested lists of equal lengths, with numbers from `low` to `LARGEST`, as an array.
+
+    Raises:
+        ValueError: If they are something else.
+    """
+    try:
+        numbers = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        numbers = np.array(np.nan)
+    is_table = numbers.ndim > 0 and 1 <= numbers.size <= _MOST_ENTRIES
+    if is_table and bool(((numbers >= low) & (numbers <= LARGEST)).all()):
+        return numbers
+    allowed = f"nested lists of numbers from {low:g} to {LARGEST:g}"
+    raise ValueError(f"{name} = {_shown(values)}; allowed: {allowed}")
 
 
 def _shown(value: object) -> str:

@@ -1,40 +1,36 @@
 """Observations scaled by the mean and variance of a saved `VecNormalize` of Stable-Baselines3."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
-from outrider_learning.bounds import LARGEST, positive, row
+from outrider_learning.bounds import LARGEST, positive, table
 from outrider_learning.transformation import Transformation
 from sim.env.observation import AgentObservation, Array
-
-_MOST_ENTRIES = 1 << 20
 
 
 class Standardized(Transformation):
     """Scaled array: (x - mean) / sqrt(variance + epsilon) by entry, clipped to ± clip.
 
     Args:
-        mean: Mean of each entry.
-        variance: Variance of each entry.
+        mean: Mean of each entry: a list, or lists of lists as deep as the observation's shape.
+        variance: Variance of each entry, with the same shape.
         epsilon: Constant added to the variance.
         clip: Largest magnitude of a result.
 
     Raises:
-        ValueError: If a number is not finite, a variance is negative, or `epsilon` or `clip` is not positive.
+        ValueError: If a number is not finite, a variance is negative, the shapes differ, or `epsilon` or `clip` is not
+            positive.
     """
 
-    def __init__(
-        self, *, mean: Sequence[float], variance: Sequence[float], epsilon: float, clip: float
-    ) -> None:
-        self._mean = row("mean", mean, -LARGEST, most=_MOST_ENTRIES)
-        self._variance = row("variance", variance, 0.0, most=_MOST_ENTRIES)
+    def __init__(self, *, mean: object, variance: object, epsilon: float, clip: float) -> None:
+        self._mean = table("mean", mean, -LARGEST)
+        self._variance = table("variance", variance, 0.0)
         self._epsilon, self._clip = positive("epsilon", epsilon), positive("clip", clip)
-        if len(self._mean) != len(self._variance):
-            lengths = f"{len(self._mean)} and {len(self._variance)}"
-            raise ValueError(f"mean and variance: {lengths} numbers; allowed: equally many")
+        if self._mean.shape != self._variance.shape:
+            shapes = f"{self._mean.shape} and {self._variance.shape}"
+            raise ValueError(f"mean and variance: of shapes {shapes}; allowed: equal ones")
 
     def settings(self) -> dict[str, Any]:
         """Return the arguments."""
