@@ -5,6 +5,7 @@ vehicles and of the operator. An operator steers the UGV into the shadow of buil
 other every few seconds, at any speed. shapely judges each tick. A tick counts as certified if the simulator says so.
 """
 
+import contextlib
 import logging
 from collections import Counter
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ import shapely
 from walls import SIZE, Judge, Pilot, drawn_scenario, rings
 
 from agents.uav import UavPilot
+from bus.errors import ScenarioError
 from bus.messages.links import LinkSettings
 from bus.messages.scenario import Law
 from bus.messages.vehicle import Teleoperation
@@ -53,6 +55,13 @@ def scenario_of(rng: np.random.Generator) -> tuple[Scenario, list[Any], list[flo
         shapes,
         heights,
     )
+
+
+def flyable(rng: np.random.Generator) -> tuple[Scenario, list[Any], list[float]]:
+    """Return the first scenario of `scenario_of` in which the UGV has a route to its goals."""
+    while True:
+        with contextlib.suppress(ScenarioError):
+            return scenario_of(rng)
 
 
 class Takeovers(InProcess):
@@ -99,7 +108,7 @@ def attack(seed: int, filtered: bool = True) -> Counter[str]:
         raise ValueError("filtered = False: not possible with takeovers; allowed: True")
     logging.getLogger("outrider.policy").setLevel(logging.ERROR)  # it may be slow
     rng = np.random.default_rng((seed, 1))
-    scenario, shapes, heights = scenario_of(rng)
+    scenario, shapes, heights = flyable(rng)
     flight = Flight(scenario, seed, on_notice=lambda _: None)
     exchange, judge = Takeovers(flight, shapes, rng), Judge(scenario, shapes, heights)
     world, counts = flight.world, Counter(runs=1, towns=1)
