@@ -247,7 +247,7 @@ def _moved(flight: Flight, here: Motion, u: tuple[float, float], share: float) -
 
 
 class Record:
-    """What the UGV knew, claimed and did, tick by tick."""
+    """Record of the knowledge, claims and motion of the UGV, tick by tick."""
 
     def __init__(self, flight: Flight) -> None:
         shape = flight.trial.truth.shape

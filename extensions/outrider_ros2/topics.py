@@ -237,7 +237,7 @@ OWN_BUILDINGS = TopicRow(
     each=Each.VEHICLE,
     interface="visualization_msgs/msg/MarkerArray",
     qos=LATCHED,
-    about="Buildings that the vehicle knows: those of its briefing, and those that a UAV has discovered.",
+    about="Buildings that the vehicle knows, from its briefing or, for a UAV, by discovery.",
 )
 PILOT_TOPICS = (OBSERVATION, BRIEFING, OWN_ODOMETRY, OWN_DETECTION, OWN_BUILDINGS)
 """Topics for the node of a vehicle: the vehicle's own information. No other party may read them."""

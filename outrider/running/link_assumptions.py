@@ -37,7 +37,7 @@ RARE = 1e-6
 _MOST_REPLAYED = 1_000_000
 """Largest number of ticks inspected of a recorded link."""
 _MOST_MESSAGES = 1_000_000_000
-"""Largest number of messages inspected of a recorded link, those of each tick's window."""
+"""Largest number of messages of a recorded link that are inspected, summed over the windows of all ticks."""
 _SAME_TICK = 1e-3
 """Largest error of a printed time [ticks]."""
 _NO_BLACKOUTS = np.zeros((0, 2), dtype=np.int64)
