@@ -26,6 +26,7 @@ from outrider_ros2.topics import (
     BRIEFING,
     OBSERVATION,
     OWN_BUILDINGS,
+    OWN_ODOMETRY,
     PILOT_COMMANDS,
     wire_topic,
 )
@@ -218,12 +219,16 @@ def test_own_buildings_are_those_briefed_and_discovered(tmp_path: Path) -> None:
         link = RosPilot(node, PLAIN.of("uav_0").party)
         foreign = raw_session(endpoint, None)
         own = foreign.declare_subscriber(key_of(OWN_BUILDINGS, "uav_0"), count)
+        # subscriptions take effect in order: when the second is known, so is the first
+        after = foreign.declare_subscriber(key_of(OWN_ODOMETRY, "uav_0"), lambda _: None)
+        wait_until(lambda: link.connected)
         link.make(briefing(scenario, "uav_0", 0))
         for _ in range(2):  # an observation is repeated for a node that joins late
             link.perceive(seen)
         link.make(briefing(scenario, "uav_0", 0))
         wait_until(lambda: len(counts) >= 3)
         own.undeclare()
+        after.undeclare()
         foreign.close()
         link.close()
         node.close()
