@@ -29,8 +29,10 @@ from sim.server.flight import Flight
 
 _DRIVERS = ("navigate", "navigate", "teleop", "teleop", "wander", "waypoints", "evade")
 """Drivers that relieve each other; a name that occurs twice is assigned twice as often."""
-_TURNS = 0.01
+_TURNS = 0.02
 """Probability of another driver in a tick."""
+_DURATION = 10.0
+"""Duration of a run [s]."""
 
 
 def scenario_of(rng: np.random.Generator) -> tuple[Scenario, list[Any], list[float]]:
@@ -50,7 +52,9 @@ def scenario_of(rng: np.random.Generator) -> tuple[Scenario, list[Any], list[flo
     ugv = msgspec.structs.replace(ugv, goals=tuple(goals), keeps_clearance=False)
     return (
         check_scenario(
-            msgspec.structs.replace(one, ugv=(ugv,), links=links, law=Law(name="certified"))
+            msgspec.structs.replace(
+                one, ugv=(ugv,), links=links, law=Law(name="certified"), duration=_DURATION
+            )
         ),
         shapes,
         heights,
