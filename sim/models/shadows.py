@@ -48,13 +48,13 @@ class _Outlines(NamedTuple):
     """Outlines of hidden sets, by row."""
 
     chords: IntArray
-    """As in `Shadow`."""
+    """Cells of each row, as from `disc_chords`. Shape (2, rows)."""
     changes: npt.NDArray[np.int16]
     """Change of the winding number from the cell to the left, at four points next to each cell's center: above it and
     below it, each right and left of it. Shape (rows, columns + 1, 4).
     """
     span: IntArray
-    """As in `Shadow`."""
+    """First cell of each row that may be hidden, and the one after the last. Shape (2, rows)."""
 
 
 class Shadow(NamedTuple):
