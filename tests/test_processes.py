@@ -8,10 +8,12 @@ import sys
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from bus.locator import UNIX
+from outrider.running.companions import Companions
 from outrider.running.flying import fly
 from outrider.running.run_folder import run_folder
 from processes import (
@@ -200,3 +202,37 @@ def test_a_run_over_many_processes_is_refused(here: Path, command) -> None:
     assert refused.returncode == 2
     assert "needs 51 processes; allowed: 20" in refused.stderr
     assert list(here.iterdir()) == [here / "many.toml"]
+
+
+class StandIn:
+    """Companion process that a test controls."""
+
+    name = "map"
+    ended: int | None = None
+
+    def exit_report(self) -> str:
+        return "map ended with exit code 1"
+
+
+def test_companion_that_is_ready_late_still_shows_its_address() -> None:
+    events: list[str] = []
+    child, given = StandIn(), list[Any]()
+    companions = Companions(events.append, patience=0.0)
+
+    def start(lines: Any) -> Any:
+        given.append(lines)
+        return child
+
+    companions.add(start)
+    assert companions.failed_before_ready(lambda: False) is None
+    companions.report()
+    given[0].put(b"map of the run: http://127.0.0.1:1/\n")
+    companions.report()
+    companions.report()
+    child.ended = 1
+    companions.report()
+    assert events == [
+        "map is still starting; the run does not wait for it",
+        "map of the run: http://127.0.0.1:1/",
+        "map ended with exit code 1; the run continues without it",
+    ]

@@ -333,7 +333,7 @@ class _Followed:
         """Report failed processes and restart vehicles; return true if a failure must end the run."""
         if self.outcome.summary is not None:
             return False
-        self._processes.companions.report_lost()
+        self._processes.companions.report()
         dead = [
             child
             for child in self._processes.children[1:]
