@@ -16,10 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from bus import registry
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.style import law_color, law_mark, new_figure, save
+from outrider.style import law_color, law_mark, look, new_figure, save
 from sim.scenario.loading import load_scenario
 
 ALTITUDES = (6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 16.0, 20.0, 24.0)
@@ -107,17 +108,22 @@ def _lines(axes: Axes, rows: Sequence[Row], field: str, scale: float, style: str
 
 def draw(rows: Sequence[Row], path: Path) -> None:
     """Plot mean e(t), certified ticks and mission times against the altitude."""
+    with look():
+        save(_drawn(rows), path)
+
+
+def _drawn(rows: Sequence[Row]) -> Figure:
     figure = new_figure(1500, 480)
     panels = figure.subplots(1, 3)
     _lines(panels[0], rows, "mean_error", 1.0)
-    panels[0].set_title("uncovered ground around the UGV")
+    panels[0].set_title("Coverage error around the UGV")
     panels[0].set_ylabel("mean e(t) [m²]")
     _lines(panels[1], [row for row in rows if registry.LAWS[row.law].watched], "certified", 100.0)
     _lines(panels[1], rows, "in_sight", 100.0, ":")
-    panels[1].set_title("certified (solid) and in sight (dotted)")
+    panels[1].set_title("Certified (solid) and in sight (dotted)")
     panels[1].set_ylabel("share of ticks [%]")
     _lines(panels[2], rows, "mission_time", 1.0)
-    panels[2].set_title("mission without a map")
+    panels[2].set_title("Mission without a map of the buildings")
     panels[2].set_ylabel("mission time [s]")
     for axes in panels:
         axes.set_xlabel("altitude [m]")
@@ -129,7 +135,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         ncols=len(LAWS),
         frameon=False,
     )
-    save(figure, path)
+    return figure
 
 
 def main() -> None:

@@ -14,13 +14,14 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bus.messages.links import LinkSettings
 from bus.messages.telemetry import MissionResult
 from bus.profiles import PROFILES
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.style import INK, LIMIT, UGV, law_color, new_figure, save
+from outrider.style import INK, LIMIT, UGV, law_color, look, new_figure, save
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario
 
@@ -135,11 +136,16 @@ def _hits(axes: Axes, rows: Sequence[Row]) -> None:
 
 def draw(rows: Sequence[Row], path: Path) -> None:
     """Plot mission times of a cautious UGV, and hits of a bold one."""
+    with look():
+        save(_drawn(rows), path)
+
+
+def _drawn(rows: Sequence[Row]) -> Figure:
     figure = new_figure(1500, 560)
     names = [law.replace(" ", "\n") for law in (NO_ESCORT, *LAWS)]
     for axes, (scenario, caution) in zip(figure.subplots(1, len(MISSIONS)), MISSIONS, strict=True):
         here = [row for row in rows if (row.scenario, row.caution) == (scenario, caution)]
-        axes.set_title(f"{scenario}, {caution} UGV")
+        axes.set_title(f"{scenario.capitalize()}, {caution} UGV")
         axes.set_xticks(range(len(names)), names)
         axes.tick_params(axis="x", length=0.0, labelsize="small")
         if caution == "bold":
@@ -163,7 +169,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         missing = "runs that did not arrive"
         marks.append(Line2D([], [], ls="", marker="$n$", mec=LIMIT, mfc=LIMIT, label=missing))
     figure.legend(handles=marks, loc="outside upper center", ncols=len(marks), frameon=False)
-    save(figure, path)
+    return figure
 
 
 def main() -> None:

@@ -3,6 +3,7 @@
 Colors of vehicles and limits, fonts and the map are defined by the scene (`sim.scene`).
 """
 
+import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -60,11 +61,38 @@ def new_figure(width: int, height: int, *, header: float = 0.0) -> Figure:
     return figure
 
 
+def heading(figure: Figure, text: str, y: float, size: float, *, math: bool = True) -> None:
+    """Set the title of a figure, at its upper left.
+
+    Args:
+        figure: The figure.
+        text: Title.
+        y: Height of its upper edge, as a share of the figure.
+        size: Size of the letters [points].
+        math: Draw text between dollar signs as mathematics.
+    """
+    figure.suptitle(
+        text, x=0.012, y=y, ha="left", va="top", fontsize=size, fontweight="bold", parse_math=math
+    )
+
+
+def texts(figure: Figure) -> list[str]:
+    """Return the words of a figure: its title, and the titles, labels and legends of its axes."""
+    found, legends = [figure.get_suptitle()], list(figure.legends)
+    for axes in (one for one in figure.axes if one.get_visible()):
+        found += [axes.get_title(side) for side in ("left", "center", "right")]
+        found += [axes.get_xlabel(), axes.get_ylabel()]
+        legends += [legend] if (legend := axes.get_legend()) else []
+    found += [entry.get_text() for legend in legends for entry in legend.get_texts()]
+    return [text for text in found if text]
+
+
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG; equal figures give equal bytes."""
+    """Write a figure as PNG, with its words as the description; equal figures give equal bytes."""
     FigureCanvasAgg(figure)
+    words = {"Software": None, "Description": json.dumps(texts(figure))}
     with writing(path):
-        figure.savefig(path, format="png", metadata={"Software": None})
+        figure.savefig(path, format="png", metadata=words)
 
 
 def law_color(law: str) -> str:

@@ -1,7 +1,11 @@
 """Pages of the documentation and their code, for tests that compare them with the program."""
 
+import json
 import re
 from pathlib import Path
+from typing import Any
+
+from PIL import Image
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = {
@@ -30,3 +34,9 @@ def marked(mark: str, page: str) -> list[list[str]]:
 def run_shown(block: str, page: str) -> None:
     """Execute a block of a page."""
     exec(compile(block, page, "exec"), {})  # noqa: S102 - our own page
+
+
+def words(picture: Path) -> Any:
+    """Return the words that a picture states; None if it states none."""
+    with Image.open(picture) as opened:
+        return json.loads(opened.info.get("Description", "null"))

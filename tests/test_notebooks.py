@@ -9,7 +9,8 @@ import matplotlib.pyplot as plt
 import pytest
 
 pytest.importorskip("outrider_learning", reason="a notebook uses the suite")
-from pages import ROOT, blocks, run_shown
+from outrider.style import texts
+from pages import ROOT, blocks, run_shown, words
 
 FOLDER = ROOT / "examples" / "notebooks"
 PRINTED = {
@@ -42,6 +43,8 @@ def test_notebook_runs_in_ten_cells(name: str, here: Path, capsys: Any) -> None:
         program = program.replace(full, smaller)
     with mpl.rc_context({"backend": "Agg"}):
         run_shown(program, name)
+    if name == "environment":  # fewer entries, so fewer keys in the legend
+        assert {*texts(plt.gcf())} < {*words(ROOT / "docs" / "tutorial.png")}
     plt.close("all")
     assert PRINTED[name] in capsys.readouterr().out.splitlines()
 

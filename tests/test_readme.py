@@ -24,6 +24,7 @@ from outrider.cli.main import make_app
 from outrider.running.altitude_assumptions import certified_from
 from outrider.running.user_code import check_own_functions
 from pages import PAGES, ROOT, blocks, run_shown
+from processes import ran, started, wait_until
 from sim.channel.recorded import MOST_BYTES, MOST_LINES
 from sim.engine.briefing import uav_briefing
 from sim.scenario.loading import load_scenario
@@ -167,6 +168,36 @@ def test_documented_tables_of_benchmarks_exist(program: str) -> None:
     allowed = set(found.stderr.rsplit("allowed: ", 1)[1].strip().split(", "))
     assert {name for pair in shown for name in pair if name} <= allowed
     assert shown
+
+
+def test_tutorial_for_integrators_prints_what_it_shows(
+    here: Path, command: Any, endpoint: str
+) -> None:
+    page, default = "docs/tutorial-integration.md", "tcp/127.0.0.1:17447"
+    (own,) = blocks("python", page)
+    (here / "circle.py").write_text(own, encoding="utf-8")
+    *flights, terminals = blocks("sh", page)
+    printed = ""
+    for line in "\n".join(flights).splitlines():
+        options = shlex.split(line)[1:]
+        if line.startswith("outrider ") and "--with" not in options:
+            done = command(*options, *(["--in-process"] if options[0] == "run" else []))
+            assert done.returncode == 0, done.stderr
+            printed += done.stdout
+    simulator, uav, ugv = (shlex.split(line)[1:] for line in terminals.splitlines())
+    program = (ROOT / "examples" / Path(*ugv).name).read_text(encoding="utf-8")
+    (here / "ugv.py").write_text(program.replace(default, endpoint), encoding="utf-8")
+    with started(*simulator, "--listen", endpoint) as run:
+        wait_until(Path(endpoint.removeprefix("unixsock-stream/")).exists)
+        with started(*uav, "--connect", endpoint):
+            ran([sys.executable, here / "ugv.py"], check=True)
+            printed += "".join(run.communicate(timeout=60.0)).replace(endpoint, default)
+    for line in "".join(blocks("text", page)).splitlines():
+        assert in_words(line) in in_words(printed), line
+
+
+def in_words(table: str) -> str:
+    return " ".join(re.split(r"[│\s]+", table))
 
 
 def test_every_page_is_in_the_sites_navigation() -> None:

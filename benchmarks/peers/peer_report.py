@@ -76,12 +76,12 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def crowded(report: Report) -> str:
-    """Return a warning about rows measured beside other load; empty without any."""
+    """Return a note about rows measured beside other load; empty without any."""
     shares = [row.others for row in report.rows if row.others is not None and row.others > CROWDED]
     if not shares:
         return ""
     rows = "one row" if len(shares) == 1 else f"{len(shares)} of {len(report.rows)} rows"
-    return f"Not quiet: during {rows} other programs used up to {max(shares):.0%} of the cores. Measure again."
+    return f"Not quiet: other programs used up to {100.0 * max(shares):.0f} % of the cores during {rows}."
 
 
 def write(report: Report, out: Path) -> None:
@@ -111,7 +111,7 @@ def markdown(report: Report) -> str:
     """Return the table in two parts, with comments on faster peers."""
     lines = ["# World-steps per second", "", f"{report.conditions}.", ""]
     if warning := crowded(report):
-        lines += [f"**{warning}**", ""]
+        lines += [f"**{warning} Measure again.**", ""]
     for field, title in GROUPS.items():
         rows = _ordered(report, field)
         if not rows:

@@ -65,14 +65,8 @@ def draw_fit(fit: Fit, samples: dict[str, Sample], path: Path) -> None:
         ):
             style.panel(axes, letter, title)
         lost = ", ".join(f"{name} {100.0 * one.lost:.2g} %" for name, one in samples.items())
-        figure.text(
-            0.012,
-            0.975,
-            f"{style.plain(fit.file)}: {fit.messages:,} messages, one every {fit.interval:g} s; lost: {lost}",
-            fontsize=12,
-            fontweight="bold",
-            va="top",
-        )
+        sent = f"{fit.messages:,} messages, one every {fit.interval:g} s"
+        style.heading(figure, f"{style.plain(fit.file)}: {sent}; lost: {lost}", 0.975, 12.0)
         handles, labels = delays.get_legend_handles_labels()
         figure.legend(handles, labels, loc="upper left", ncols=3, bbox_to_anchor=(0.004, 0.935))
         style.save(figure, path)

@@ -318,9 +318,9 @@ def _draw_header(figure: Figure, flight: Flight, hazards: GroundMap | None) -> N
     if verdict is not None:
         facts.append(verdict.reached)
     title = textwrap.shorten(scenario.title or scenario.name, 50, placeholder=" …") or "scenario"
-    figure.text(0.014, 0.968, title, fontsize=15, fontweight="bold", va="top", parse_math=False)
+    style.heading(figure, title, 0.968, 15.0, math=False)
     subtitle = named + "   ·   ".join(facts)
-    figure.text(0.014, 0.908, subtitle, color=style.MUTED, va="top")
+    figure.text(0.012, 0.908, subtitle, color=style.MUTED, va="top")
     if verdict is not None:
         figure.text(
             0.986,

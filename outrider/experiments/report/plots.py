@@ -97,7 +97,7 @@ def _sheet(
         axes.yaxis.set_tick_params(labelleft=True)
         if k % columns == 0:
             axes.set_ylabel(label)
-    figure.text(0.012, 1.0 - 14.0 / height, title, fontsize=12, fontweight="bold", va="top")
+    style.heading(figure, title, 1.0 - 14.0 / height, 12.0)
     figure.legend(
         handles=list(keys),
         loc="upper left",
