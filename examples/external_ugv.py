@@ -25,5 +25,6 @@ with zenoh.open(config) as session:
             0.2 * math.cos(0.1 * observation["time"]),
             0.2 * math.sin(0.1 * observation["time"]),
         ]
-        acceleration = [w - v for w, v in zip(target, observation["velocity"], strict=True)]
+        # at most 0.4 (0.2 - 0) m/s², below the UGV's bound of 0.1 m/s²
+        acceleration = [0.4 * (w - v) for w, v in zip(target, observation["velocity"], strict=True)]
         commands.put(json.dumps({"tick": observation["tick"], "acceleration": acceleration}))
