@@ -47,8 +47,8 @@ class Ended(SystemExit):
     """Request to end this process, such as SIGTERM; not the `sys.exit` of a package's code."""
 
 
-class ScenarioError(OutriderError):
-    """Invalid scenario, to be fixed by its author.
+class ScenarioError(OutriderError, ValueError):
+    """Invalid scenario, a `ValueError` to be fixed by its author.
 
     The message names the file, the field, its value and what is allowed.
     """

@@ -201,6 +201,8 @@ def _fly(
                 on_progress=show,
                 **settings,
             )
+        except ScenarioError:
+            raise
         except ValueError as error:
             raise OutriderError(f"a policy cannot run: {error}") from error
 

@@ -73,6 +73,8 @@ def read_link(name: str, where: str, folder: Path | None = None) -> RecordedLink
     try:
         path = Path(name) if folder is None else _below(folder, name, where)
         data = read_regular(path, MOST_BYTES)
+    except ScenarioError:
+        raise
     except (OSError, ValueError) as error:  # a ValueError: a NUL in the path
         reason = one_line(str(getattr(error, "strerror", None) or error))
         raise ScenarioError(f"{where}: cannot be read: {reason}; allowed: {TRACE_RULE}") from error
