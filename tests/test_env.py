@@ -15,6 +15,7 @@ from bus.errors import ScenarioError
 from outrider.envs.parallel import parallel_env
 from outrider.envs.single import single_env
 from outrider.envs.vector import parallel_vector_env, vector_env
+from refusals import refused
 from sim.engine.briefing import briefing
 from sim.env.spaces import FREE_ACCELERATION, extent_of
 from sim.models.vehicles import clip_norm
@@ -222,6 +223,21 @@ def test_actions_that_are_not_by_agent_are_refused():
         env.reset(seed=1)
         with pytest.raises(ValueError, match="actions = None: not by agent; allowed: a dictionary"):
             env.step(None)
+
+
+def test_unknown_options_of_a_reset_are_refused():
+    made = (parallel_env(ONE), single_env(ONE), vector_env(ONE, num_envs=1))
+    for env in (*made, parallel_vector_env(ONE, num_envs=1)):
+        env.reset(options={})
+        with refused(ValueError, r"options\['reset_msk'\]: unknown option.*; allowed: "):
+            env.reset(options={"reset_msk": [True]})
+        with refused(ValueError, r"options = 3: not options; allowed: a dictionary"):
+            env.reset(options=3)
+
+
+def test_a_scenario_error_is_a_value_error():
+    with pytest.raises(ValueError, match=r"dt = -1"):
+        load_scenario("escort", overrides={"dt": -1.0})
 
 
 def test_an_unknown_scenario_or_agent_is_refused():

@@ -23,7 +23,7 @@ from sim.engine.briefing import briefing
 from sim.engine.run_keys import check_secret
 from sim.env.actions import check_by_agent, take_actions
 from sim.env.observation import AgentObservation, Array, one_of_world
-from sim.env.seeds import Seeds
+from sim.env.seeds import Seeds, check_options
 from sim.env.spaces import box, extent_of
 from sim.env.standings import Standings
 from sim.env.view import Rendering
@@ -34,6 +34,9 @@ from sim.world import World
 
 Action = npt.ArrayLike | UavCommand | UgvCommand
 """Acceleration [m/s²], or the command of a pilot, which may also carry backup trajectories and a route."""
+
+_CONFORMANCE = {"options": 1}
+"""Options with which PettingZoo's conformance tests reset."""
 
 
 def _acceleration(action: Action, length: int) -> npt.ArrayLike:
@@ -140,12 +143,19 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             seed: Seed of all random numbers of the episode. Without one, the first episode has a seed from the
                 operating system, and each later one a seed derived from the last given or drawn seed and the number of
                 episodes since.
-            options: Not used.
+            options: None, or empty: there are none. The pair `{"options": 1}` has no effect, because PettingZoo's
+                conformance tests reset with it.
 
         Returns:
             Observations and infos by agent.
+
+        Raises:
+            ValueError: If the seed is not a whole number from 0 to 2**53 - 1, or there are options; the current episode
+                then continues.
         """
         Seeds.check(seed)
+        if options != _CONFORMANCE:
+            check_options(options)
         self.worlds.reset([seed], None)
         self._np_random = None
         self.episode += 1

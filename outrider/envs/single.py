@@ -15,7 +15,7 @@ from bus.messages.links import LinkStatus
 from outrider.envs.worlds import PICTURES, Worlds
 from sim.env.actions import take_actions
 from sim.env.observation import AgentObservation, one_of_world
-from sim.env.seeds import Seeds
+from sim.env.seeds import Seeds, check_options
 from sim.scenario.types import Scenario
 
 
@@ -61,15 +61,17 @@ class SingleEnv(gymnasium.Env[Any, Any]):
             seed: Seed of all random numbers of the episode. Without one, the first episode has a seed from the
                 operating system, and each later one a seed derived from the last given or drawn seed and the number of
                 episodes since.
-            options: Not used.
+            options: None, or empty: there are none.
 
         Returns:
             Observation and info.
 
         Raises:
-            ValueError: If the seed is not a whole number from 0 to 2**53 - 1; the current episode then continues.
+            ValueError: If the seed is not a whole number from 0 to 2**53 - 1, or there are options; the current episode
+                then continues.
         """
         Seeds.check(seed)
+        check_options(options)
         super().reset(seed=None if seed is None else int(seed))  # Gymnasium rejects NumPy integers
         self.worlds.reset([seed], None)
         self._over = False

@@ -24,7 +24,7 @@ from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
 from sim.env.actions import check_by_agent, take_batch
 from sim.env.observation import AgentObservation, ObservationFormat
-from sim.env.seeds import Seeds
+from sim.env.seeds import Seeds, check_options
 from sim.env.settings import settings_of
 from sim.env.spaces import action_space
 from sim.env.view import BatchRendering
@@ -221,8 +221,9 @@ class Worlds:
 
         Raises:
             ResetNeeded: If the first reset has a mask that does not select all worlds.
-            ValueError: If the number of seeds is wrong, or a seed or the mask is not allowed.
+            ValueError: If the number of seeds is wrong, or a seed, the mask or another option is not allowed.
         """
+        check_options(options, "reset_mask")
         mask = np.ones(self.num_envs, dtype=np.bool_)
         if options is not None and options.get("reset_mask") is not None:
             mask = np.asarray(options["reset_mask"])

@@ -1,11 +1,29 @@
-"""Seeds of episodes."""
+"""Arguments of a reset: seeds of episodes, and options."""
 
 import secrets
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from bus.messages.base import MAX_SEED
 from sim.engine.run_keys import check_seed
+from sim.input.faults import near
+
+
+def check_options(options: Mapping[str, Any] | None, *allowed: str) -> None:
+    """Check the options of a reset.
+
+    Raises:
+        ValueError: If they are not a mapping, or a key is not one of these.
+    """
+    rule = ", ".join(allowed) or "none"
+    if not isinstance(options, Mapping | None):
+        raise ValueError(f"options = {options!r}: not options; allowed: a dictionary with {rule}")
+    for key in options or ():
+        if key not in allowed:
+            meant = near(str(key), allowed)
+            raise ValueError(f"options[{key!r}]: unknown option{meant}; allowed: {rule}")
 
 
 class Seeds:
