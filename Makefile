@@ -100,7 +100,7 @@ learn-test: $(LEARNERS:%=learn-test-%) ## test the learning libraries, each in i
 
 $(VENV)-%/.learn: pyproject.toml
 	$(PYTHON) -m venv $(VENV)-$*
-	$(VENV)-$*/bin/python -m pip install --quiet --quiet --disable-pip-version-check --root-user-action ignore --editable '.[$*]' 'pytest>=8.3' 'pytest-timeout>=2.3' 'moviepy>=2'
+	$(VENV)-$*/bin/python -m pip install --quiet --quiet --disable-pip-version-check --root-user-action ignore --editable '.[$*,video]' 'pytest>=8.3' 'pytest-timeout>=2.3'
 	@touch $@
 
 learn-test-%: $(VENV)-%/.learn
