@@ -51,6 +51,16 @@ _OURS = ("agents", "bus", "sim")
 """Other packages of Outrider, with names that a user's project may have, too."""
 
 
+def _is_module() -> bool:
+    """Return true for `python -m outrider`."""
+    return sys.argv[:1] == ["-m"] and "outrider" in sys.orig_argv
+
+
+def _is_command() -> bool:
+    """Return true if this process is the command `outrider`, or one of its children."""
+    return _is_module() or os.path.basename("".join(sys.argv[:1])) == "outrider"
+
+
 def _check_names() -> None:
     """Check that no other module hides a package of Outrider.
 
@@ -58,8 +68,7 @@ def _check_names() -> None:
         ImportError: If one does; the message names it in one line.
     """
     root = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
-    started = sys.argv[0] if sys.argv else ""
-    as_module = started == "-m" and "outrider" in sys.orig_argv
+    as_module = _is_module()
     # `python -m outrider` removes the working folder from the path, but only after this check.
     is_unsafe = as_module and not sys.flags.safe_path
     for name in _OURS:
@@ -71,7 +80,7 @@ def _check_names() -> None:
             f"{places[0] or places[-1]} hides Outrider's package {name!r}: "
             "rename it, or start Python with -P or in another folder"
         )
-        if as_module or os.path.basename(started) == "outrider":
+        if _is_command():
             sys.exit(f"outrider: {line}")
         raise ImportError(line)
 
@@ -85,6 +94,6 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - a module's names have any t
     raise AttributeError(f"module 'outrider' has no attribute {name!r}")
 
 
-# Register the environments only if Gymnasium is in use, as its import takes time.
-if "gymnasium" in sys.modules:
+# The commands make no environment by name, and the import of Gymnasium takes time.
+if not _is_command():
     import_module("outrider.registration")

@@ -1,18 +1,18 @@
 """Registration of `outrider/Escort-v0` with Gymnasium and PettingZoo.
 
 Gymnasium imports the module before the colon of `outrider.registration:outrider/Escort-v0` and expects it to register
-the name. Therefore the import of this module has a side effect. PettingZoo has a registry from 1.27 on; the name is
-registered there if PettingZoo has been imported, as its import takes time.
+the name. Therefore the import of this module has a side effect. Gymnasium 1 and PettingZoo read no entry points of
+installed packages, so a name without its module needs an import, in any order. PettingZoo has a registry from 1.27 on.
 """
 
-import sys
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import gymnasium
+import pettingzoo  # type: ignore[import-untyped]
 
 if TYPE_CHECKING:
-    from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]
+    from pettingzoo import AECEnv, ParallelEnv
 
     from outrider.envs.single import SingleEnv
     from outrider.envs.vector import OutriderVectorEnv
@@ -77,7 +77,7 @@ def refuse_limit(settings: Mapping[str, Any], name: str, why: str) -> None:
 
 
 def register_names(names: Mapping[str, Mapping[str, str]], module: str) -> None:
-    """Register environments with Gymnasium, and with PettingZoo if it has been imported; repeated calls do nothing.
+    """Register environments with Gymnasium, and with PettingZoo if it has a registry; repeated calls do nothing.
 
     No limit of steps is registered: the scenario's duration ends an episode.
 
@@ -93,8 +93,7 @@ def register_names(names: Mapping[str, Mapping[str, str]], module: str) -> None:
                 vector_entry_point=f"{module}:vector",
                 kwargs=dict(kwargs),
             )
-    pettingzoo = sys.modules.get("pettingzoo")
-    if pettingzoo is not None and hasattr(pettingzoo, "parallel_registry"):
+    if hasattr(pettingzoo, "parallel_registry"):
         for env_id, kwargs in names.items():
             if env_id not in pettingzoo.parallel_registry:
                 for kind, maker in (("parallel", "parallel"), ("aec", "turn_based")):

@@ -16,6 +16,7 @@ from gymnasium.vector import SyncVectorEnv
 import outrider
 from outrider.envs.vector import OutriderVectorEnv
 from outrider.registration import ESCORT, register
+from processes import python
 from refusals import refused
 
 
@@ -27,6 +28,14 @@ def test_import_of_outrider_registers_the_name(monkeypatch) -> None:
     monkeypatch.delitem(sys.modules, "outrider.registration")
     importlib.reload(outrider)
     assert all(ESCORT in registry for registry in registries)
+
+
+@pytest.mark.parametrize("library", ["gymnasium", "pettingzoo"])
+def test_the_name_resolves_whatever_is_imported_first(library) -> None:
+    kind = "" if library == "gymnasium" else "'parallel', "
+    made = f"print({library}.make({kind}{ESCORT!r}, duration=1.0).unwrapped.render_mode)"
+    for order in (f"outrider, {library}", f"{library}, outrider"):
+        assert python(f"import {order}; {made}").stdout.strip() == "None"
 
 
 def test_registering_again_does_nothing() -> None:

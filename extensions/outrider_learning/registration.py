@@ -50,7 +50,7 @@ def turn_based(*, task: str, **settings: Any) -> "AECEnv[str, Any, Any]":  # noq
 
 
 def register() -> None:
-    """Register the names, with PettingZoo only if it is imported; repeated calls do nothing."""
+    """Register the names; repeated calls do nothing."""
     register_names({task.env_id: {"task": task.name} for task in _TASKS}, __name__)
 
 

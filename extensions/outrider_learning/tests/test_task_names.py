@@ -48,5 +48,5 @@ def test_a_name_with_its_module_needs_no_import() -> None:
         f"print(gymnasium.make({name!r}).unwrapped.worlds.scenario.name)"
     )
     loaded, made = python(code).stdout.splitlines()
-    assert {"numba", "sim", "agents", "zenoh", "pettingzoo"}.isdisjoint(loaded.split())
+    assert {"numba", "sim", "agents", "zenoh"}.isdisjoint(loaded.split())
     assert made == "noise"
