@@ -36,6 +36,21 @@ def policy_kinds(vehicle: Vehicle) -> Mapping[str, PolicyKind]:
     )
 
 
+def is_policy_file(text: str, vehicle: Vehicle) -> bool:
+    """Return true for `KIND:...` of a kind of saved policies for this kind of vehicle.
+
+    Raises:
+        ValueError: If the kind is for the other kind of vehicle only; what is wrong, without the allowed forms.
+    """
+    kind, separator, _ = text.partition(":")
+    if not separator:
+        return False
+    other: Vehicle = "ugv" if vehicle == "uav" else "uav"
+    if kind in policy_kinds(other) and kind not in policy_kinds(vehicle):
+        raise ValueError(f"{kind}: is for a {other.upper()} only, not for a {vehicle.upper()}")
+    return kind in policy_kinds(vehicle)
+
+
 def policy_forms(vehicle: Vehicle) -> str:
     """Return the allowed forms of a policy for this kind of vehicle, for error messages."""
     forms = ["module:function"]

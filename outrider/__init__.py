@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from outrider.envs.vector import parallel_vector_env as parallel_vector_env
     from outrider.envs.vector import vector_env as vector_env
     from outrider.running.flying import run as run
+    from outrider.running.user_code import load_policy as load_policy
     from sim.env.rewards import RewardWeights as RewardWeights
     from sim.scenario.loading import load_scenario as load_scenario
     from sim.scenario.loading import scenario_names as scenario_names
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 _WHERE = {
     "RewardWeights": "sim.env.rewards",
     "ScenarioError": "bus.errors",
+    "load_policy": "outrider.running.user_code",
     "load_scenario": "sim.scenario.loading",
     "parallel_env": "outrider.envs.parallel",
     "parallel_vector_env": "outrider.envs.vector",
@@ -37,6 +39,7 @@ _WHERE = {
 __all__ = [
     "RewardWeights",
     "ScenarioError",
+    "load_policy",
     "load_scenario",
     "parallel_env",
     "parallel_vector_env",

@@ -13,11 +13,14 @@ from unittest.mock import create_autospec
 import msgspec
 import pytest
 
+import outrider
+
 pytest.importorskip("jsonschema", reason="a development tool")
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
 
 import jsonschema
 
+from bus.errors import ScenarioError
 from bus.messages.vehicle import UavCommand
 from bus.registry import LAWS
 from flights import Piloted
@@ -290,6 +293,29 @@ def test_user_code_is_flown_or_warned_about(own: str, options: dict[str, str]) -
     (warning,) = scenario_warnings(ignored)
     assert warning.startswith(f"custom.{own} = 'mine:f': not used; requires ")
     assert all(name in warning for name in options.values())
+
+
+def test_policies_have_the_same_names_at_every_entry_point() -> None:
+    flown, named = resolve("escort", uav_policy="mine:act", driver="policy:mine:wheel")
+    assert (flown.law.name, flown.custom.uav_policy) == ("certified", "mine:act")
+    assert (flown.ugv[0].driver, flown.custom.policy) == ("policy", "mine:wheel")
+    assert foreign_code(flown, named) == ()
+    assert resolve("escort", uav_policy="mine:act", law="policy")[0].law.name == "policy"
+    with pytest.raises(ScenarioError, match=r"not used by --law linear; allowed: with certified"):
+        resolve("escort", uav_policy="mine:act", law="linear")
+
+
+@pytest.mark.parametrize("name", ["onnx:model.onnx", "torch:model.pt", "fmu:model.fmu"])
+def test_a_policy_for_ugvs_alone_says_what_uavs_support(name: str) -> None:
+    says = "is for a UGV only, not for a UAV; allowed: module:function, npz:FILE.npz or sb3:"
+    with pytest.raises(ScenarioError, match=says):
+        resolve("escort", uav_policy=name)
+    with pytest.raises(ScenarioError, match=says):
+        outrider.load_policy(name)
+    with pytest.raises(ScenarioError, match=says):
+        outrider.vector_env("escort", num_envs=1, agent="ugv_0", others={"uav_0": name})
+    with pytest.raises(ScenarioError, match="npz: is for a UAV only, not for a UGV; allowed: "):
+        resolve("escort", driver="npz:model.npz")
 
 
 def test_a_vehicle_without_a_name_gets_the_next_one(tmp_path):

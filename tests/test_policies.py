@@ -246,7 +246,7 @@ def test_an_object_that_cannot_be_loaded_is_reported(name, phrase, here, monkeyp
 def test_a_function_may_be_named_by_its_file(here: Path, monkeypatch) -> None:
     monkeypatch.setattr(sys, "path", sys.path.copy())
     (here / "my_wheels.py").write_text("def wheel(observation, briefing):\n    return 0.1, 0.0\n")
-    assert load_policy("my_wheels.py:wheel")(None, None) == (0.1, 0.0)
+    assert load_policy("my_wheels.py:wheel", "ugv")(None, None) == (0.1, 0.0)
     assert load_scenario(overrides={"custom.weighting": "my_wheels.py:wheel"})
 
 
@@ -267,4 +267,4 @@ def test_module_search_order_is_library_folder_clone(
     monkeypatch.setattr(user_modules, "_HOME", clone.resolve())
     monkeypatch.chdir(here)
     for module, folder in (("tried", here), ("known", library), ("kept", clone)):
-        assert load_policy(f"{module}_{tmp_path.name}:policy")(None, None) == folder.name
+        assert load_policy(f"{module}_{tmp_path.name}:policy", "ugv")(None, None) == folder.name

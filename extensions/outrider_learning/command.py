@@ -139,7 +139,7 @@ def _tasks(whole: "Suite", only: list[str]) -> "Suite":
 
 def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str, Entry]":
     from outrider.envs.pilot_numbers import pilot_names
-    from outrider.running.user_code import load_uav_policy
+    from outrider.running.user_code import load_policy
     from outrider_learning.suite.board import BASELINES, MISSION_BASELINES
     from outrider_learning.suite.tasks import NO_ESCORT
 
@@ -153,7 +153,7 @@ def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str,
             )
     entries: dict[str, Entry] = {law: law for law in laws or ([] if policies else baselines)}
     for name in policies:
-        entries[name] = _UserPolicy(name, load_uav_policy(name, what="--uav-policy"))
+        entries[name] = _UserPolicy(name, load_policy(name, what="--uav-policy"))
     return entries
 
 

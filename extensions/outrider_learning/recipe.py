@@ -7,7 +7,9 @@ import msgspec
 import numpy as np
 from gymnasium import spaces
 
+from bus.errors import ScenarioError
 from bus.messages.base import NonNegative, Positive
+from outrider.running.user_modules import find_object
 from outrider_learning.bounds import MOST_TICKS, whole
 from outrider_learning.egocentric import Egocentric
 from outrider_learning.policy_inputs import EscortView
@@ -26,7 +28,7 @@ _KINDS: Mapping[str, type[Transformation]] = {
     "escort_view": EscortView,
     "standardized": Standardized,
 }
-"""Transformations that can be saved, by their names in the file."""
+"""Our own transformations, by their names in the file; another class is named `module:class`."""
 _REPEAT = "repeat"
 _OF_GYMNASIUM = (
     *("Monitor", "OrderEnforcing", "PassiveEnvChecker", "RecordEpisodeStatistics", "RecordVideo"),
@@ -116,15 +118,51 @@ def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of seve
     )
 
 
+def _kind_of(found: type[Transformation]) -> str:
+    """Return the name of a transformation in a recipe: a short one, or `module:class` for a user's class.
+
+    Raises:
+        ValueError: If another process cannot import the class.
+    """
+    for kind, known in _KINDS.items():
+        if found is known:
+            return kind
+    module, name = found.__module__, found.__qualname__
+    if module == "__main__" or not name.isidentifier():
+        raise ValueError(
+            f"{name} of {module}: cannot be loaded elsewhere; allowed: a class at the top of a module, not of the "
+            "program that trains"
+        )
+    return f"{module}:{name}"
+
+
+def _class_of(kind: str) -> type[Transformation]:
+    """Return the class with this name in a recipe.
+
+    Raises:
+        ValueError: If there is no such class, or its module cannot be imported.
+    """
+    if kind in _KINDS:
+        return _KINDS[kind]
+    if ":" not in kind:
+        raise ValueError("unknown")
+    found = find_object(kind, "kind")
+    if not (isinstance(found, type) and issubclass(found, Transformation)):
+        raise ValueError("not a transformation")
+    return found
+
+
 def _taken_off(env: Any) -> tuple[dict[str, Any] | None, Any]:  # noqa: ANN401
     """Return the recipe of the outermost layer, None without effect, and the inner environment."""
     name = type(env).__name__
     if isinstance(env, Transformed):
         one = env.transformation
-        kind = next((key for key, found in _KINDS.items() if type(one) is found), None)
-        if kind is not None:
-            return {"kind": kind, **one.settings()}, env.env
-        name = type(one).__name__
+        settings = one.settings()
+        if "kind" in settings:
+            raise ValueError(
+                f"{type(one).__name__} settings(): 'kind': reserved; allowed: another name"
+            )
+        return {"kind": _kind_of(type(one)), **settings}, env.env
     if isinstance(env, ActionRepeat):
         return {"kind": _REPEAT, "ticks": env.ticks}, env.env
     if name == "VecNormalize" and not env.norm_obs:
@@ -139,7 +177,7 @@ def _taken_off(env: Any) -> tuple[dict[str, Any] | None, Any]:  # noqa: ANN401
         if name in names:
             return None, getattr(env, attribute)
     raise ValueError(
-        f"{name}: cannot be saved with a policy; allowed: Transformed by Egocentric or Stack, ActionRepeat, "
+        f"{name}: cannot be saved with a policy; allowed: Transformed, ActionRepeat, "
         f"VecEnvAdapter, DummyVecEnv, VecNormalize of rows, and wrappers without effect on observations and actions"
     )
 
@@ -164,9 +202,11 @@ def make_layer(layer: Mapping[str, Any]) -> Transformation | HeldAction:
     given = dict(layer)
     kind = given.pop("kind", None)
     try:
-        return HeldAction(**given) if kind == _REPEAT else _KINDS[str(kind)](**given)
-    except (KeyError, TypeError, ValueError) as error:
-        allowed = ", ".join((*_KINDS, _REPEAT))
+        return HeldAction(**given) if kind == _REPEAT else _class_of(str(kind))(**given)
+    except ScenarioError as error:  # the line names the module and why it cannot be imported
+        raise ValueError(f"layer {error}") from error
+    except (TypeError, ValueError) as error:
+        allowed = ", ".join((*_KINDS, _REPEAT, "module:class"))
         raise ValueError(
             f"layer {kind!r}: {type(error).__name__}: {error}; allowed: {allowed}"
         ) from error

@@ -23,13 +23,16 @@ class Transformation(ABC):
     """
 
     def settings(self) -> dict[str, Any]:
-        """Return the arguments that recreate this transformation, as JSON data.
+        """Return the arguments that recreate this transformation, as JSON data; the default: it cannot be saved.
+
+        A recipe names the class as `module:class`, so the module must be importable where the policy flies.
 
         Raises:
             ValueError: If the transformation cannot be saved with a policy.
         """
         raise ValueError(
-            f"{type(self).__name__} settings() is missing, so that it cannot be saved with a policy"
+            f"{type(self).__name__}: cannot be saved with a policy without its own settings(); "
+            "allowed: one that returns the constructor's arguments"
         )
 
     @abstractmethod

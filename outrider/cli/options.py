@@ -12,6 +12,7 @@ from bus.errors import AccessDenied, ScenarioError
 from bus.keys import OPERATOR_NAME, Party, Role, check_run_name
 from bus.locator import check_endpoint
 from bus.messages.base import MAX_SEED
+from bus.policies import policy_forms
 from bus.profiles import PROFILES
 from bus.registry import (
     DRIVERS,
@@ -54,7 +55,7 @@ DriverName = Annotated[
     str | None,
     typer.Option(
         "--driver",
-        help=f"Set the UGVs' driver. {described(DRIVERS)}; or a saved policy, such as fmu:FILE.fmu.",
+        help=f"Set the UGVs' driver. {described(DRIVERS)}; or your own policy, policy:module:function or KIND:FILE.",
     ),
 ]
 Set = Annotated[
@@ -81,6 +82,14 @@ UavPolicyName = Annotated[
         "--uav-policy",
         metavar="POLICY",
         help="Load a policy for `certified` or `policy`: module:function or KIND:FILE.",
+    ),
+]
+FlownPolicy = Annotated[
+    str,
+    typer.Option(
+        "--uav-policy",
+        metavar="POLICY",
+        help=f"Fly the UAVs by {policy_forms('uav')}; inside the safety filter, unless --law policy.",
     ),
 ]
 NetworkName = Annotated[

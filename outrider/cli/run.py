@@ -55,6 +55,7 @@ def command(
     duration: options.Duration = None,
     law: options.LawName = None,
     driver: options.DriverName = None,
+    uav_policy: options.FlownPolicy = "",
     changes: options.Set = None,
     network: options.NetworkName = "",
     allow_code: options.AllowCode = False,
@@ -94,10 +95,10 @@ def command(
         duration=duration,
         law=law,
         driver=driver,
+        uav_policy=uav_policy,
         network=network,
         realtime=realtime,
-        respawn=respawn,
-        changes=changes,
+        changes=[*(changes or ()), *(["run.respawn=true"] if respawn else [])],
     )
     has_external = any(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
     _check_processes(flown, 0 if in_process else allow_processes)

@@ -19,6 +19,7 @@ from bus.messages.telemetry import MissionResult
 from bus.observations import as_rows
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.pilot_numbers import pilot_names
+from outrider.envs.policies import named_policies
 from outrider.running.metrics import MISSION, numbers
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
@@ -89,13 +90,13 @@ class Worlds:
         for name in self.learners:
             if name not in names:
                 raise ValueError(f"agent = {name!r}; allowed: {', '.join(names)}")
-        self._format = ObservationFormat(self.scenario, options)
-        given = dict(options.others or {})
+        given = named_policies(options.others or {}, self.scenario)
         self._policies = {
             name: pilot for name, pilot in given.items() if not isinstance(pilot, str)
         }
         named = {name: pilot for name, pilot in given.items() if isinstance(pilot, str)}
         self._check_others(given, named, names)
+        self._format = ObservationFormat(self.scenario, options)
         self._external = [*self.learners, *self._policies]
         self.loop = ClosedLoop(
             self.scenario,
@@ -131,7 +132,7 @@ class Worlds:
             if name in named and named[name] not in pilot_names(self.scenario, name):
                 allowed = ", ".join(pilot_names(self.scenario, name))
                 raise ValueError(
-                    f"others: {name!r}: {pilot!r}: unknown; allowed: {allowed}, or a policy for all worlds at once"
+                    f"others: {name!r}: {pilot!r}: unknown; allowed: {allowed}, or a policy"
                 )
             if name not in named and not callable(pilot):
                 raise ValueError(f"others: {name!r}: {pilot!r}: neither a name nor a policy")

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from bus.errors import ScenarioError
+from bus.registry import LAWS
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 
@@ -14,24 +15,24 @@ def resolve(
     duration: float | None = None,
     law: str | None = None,
     driver: str | None = None,
+    uav_policy: str = "",
     network: str = "",
     realtime: float | None = None,
     join_timeout: float | None = None,
-    respawn: bool = False,
     changes: Sequence[str] | None = None,
 ) -> tuple[Scenario, list[str]]:
     """Return the scenario with all options applied, and the changes in which the user may have named code.
 
     Args:
         source: Name of a shipped scenario, or a TOML file.
-        seed: Replaces the file's seed. All options up to `respawn` replace the file's field if given.
+        seed: Replaces the file's seed. All options up to `join_timeout` replace the file's field if given.
         duration: Simulated time [s].
         law: Law of all UAVs.
         driver: Driver of all UGVs.
+        uav_policy: Policy of all UAVs, inside the safety filter unless the law is `policy`.
         network: Network profile of every link.
         realtime: Simulated seconds per second of wall time; 0: lockstep.
         join_timeout: Longest wait for a vehicle or the router [s].
-        respawn: True: restart a vehicle's process if it exits.
         changes: Changes of fields, in the form of `--set`; applied first.
 
     Raises:
@@ -42,13 +43,32 @@ def resolve(
         "duration": duration,
         "law.name": law,
         "ugv.*.driver": driver,
+        "custom.uav_policy": uav_policy or None,
         "links.profile": network or None,
         "run.realtime": realtime,
         "run.join_timeout": join_timeout,
-        "run.respawn": respawn or None,
     }
     given = [(field, value) for field, value in options.items() if value is not None]
     scenario = load_scenario(source, overrides=[*(changes or ()), *given])
     if law and not scenario.uav:
         raise ScenarioError(f"--law {law}: {scenario.name} has no UAV; allowed: no --law")
-    return scenario, [*(changes or ()), *([f"ugv.*.driver={driver}"] if driver else [])]
+    named = [f"{field}={value}" for field, value in given if field in _CODE]
+    if uav_policy and not _flies_policy(scenario):
+        if law or not scenario.uav:
+            where = f"--law {law}" if law else f"{scenario.name}, which has no UAV"
+            raise ScenarioError(
+                f"--uav-policy {uav_policy}: not used by {where}; allowed: with {' or '.join(_LAWS)}"
+            )
+        given += [("law.name", _LAWS[0])]
+        scenario = load_scenario(source, overrides=[*(changes or ()), *given])
+    return scenario, [*(changes or ()), *named]
+
+
+_CODE = ("ugv.*.driver", "custom.uav_policy")
+"""Fields of options that may name code."""
+_LAWS = tuple(name for name, row in LAWS.items() if "uav_policy" in (row.inner, row.own))
+"""Laws that fly a policy, the one with the safety filter first."""
+
+
+def _flies_policy(scenario: Scenario) -> bool:
+    return bool(scenario.uav) and scenario.law.name in _LAWS

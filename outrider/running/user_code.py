@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from agents.drivers.policy import RowPolicy
 from bus import plugins
 from bus.errors import ScenarioError
-from bus.policies import Vehicle, endings, policy_forms, policy_kinds
+from bus.policies import Vehicle, endings, is_policy_file, policy_forms, policy_kinds
 from bus.registry import (
     LAWS,
     resolve,
@@ -16,8 +16,11 @@ from outrider.running.user_modules import find_object
 from sim.input.faults import one_line
 
 if TYPE_CHECKING:
-    from agents.laws.policy import UavPolicy
     from sim.scenario.types import Scenario
+
+
+_POLICIES: dict[str, Vehicle] = {"policy": "ugv", "uav_policy": "uav"}
+"""Fields that name a policy, with the kind of vehicle."""
 
 
 def load_function(name: str, *, what: str) -> Callable[..., Any] | None:
@@ -26,7 +29,7 @@ def load_function(name: str, *, what: str) -> Callable[..., Any] | None:
     Modules in the working folder are found last.
 
     Args:
-        name: `module:function`, or another form that `load_policy` or `load_uav_policy` accepts.
+        name: `module:function`, or another form that `load_policy` accepts.
         what: Field that names the function, for errors; `policy` and `uav_policy` select the loader of policies.
 
     Raises:
@@ -34,10 +37,9 @@ def load_function(name: str, *, what: str) -> Callable[..., Any] | None:
     """
     if not name:
         return None
-    if what.rpartition(".")[2] == "uav_policy":
-        return load_uav_policy(name, what=what)
-    if what.rpartition(".")[2] == "policy":
-        policy: Callable[..., Any] = load_policy(name, what=what)
+    vehicle = _POLICIES.get(what.rpartition(".")[2])
+    if vehicle is not None:
+        policy: Callable[..., Any] = load_policy(name, vehicle, what=what)
         return policy
     found = _named(name, what)
     if not callable(found):
@@ -55,13 +57,19 @@ def _load_saved(name: str, what: str, vehicle: Vehicle) -> Any:  # noqa: ANN401 
     """Load `KIND:FILE`; return None if no kind of saved policies stands before the colon.
 
     Raises:
-        ScenarioError: If the policy cannot be loaded, or the name is a file without its kind.
+        ScenarioError: If the policy cannot be loaded, its kind is for other vehicles, or the name is a file without its
+            kind.
     """
-    kind, separator, rest = name.partition(":")
-    kinds = policy_kinds(vehicle)
-    if separator and kind in kinds:
+    try:
+        is_file = is_policy_file(name, vehicle)
+    except ValueError as error:
+        raise ScenarioError(
+            f"{what} = {name!r}: {error}; allowed: {policy_forms(vehicle)}"
+        ) from error
+    if is_file:
+        kind, _, rest = name.partition(":")
         with plugins.foreign(f"{what} = {name!r}"):
-            load = resolve(getattr(kinds[kind], vehicle))
+            load = resolve(getattr(policy_kinds(vehicle)[kind], vehicle))
         return load(rest, f"{what} = {name!r}")
     if Path(name).suffix in endings():
         allowed = policy_forms(vehicle)
@@ -71,55 +79,33 @@ def _load_saved(name: str, what: str, vehicle: Vehicle) -> Any:  # noqa: ANN401 
     return None
 
 
-def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a function, or an object that predicts
-    """Load a policy for the driver `policy`.
+def load_policy(name: str, vehicle: Vehicle = "uav", *, what: str = "policy") -> Any:  # noqa: ANN401 - of several forms
+    """Load a policy, as every option and field that names one does.
 
     The library that saved a policy must be installed to load it. Loading may run code in the file, so load only
-    trusted files. The policy receives the UGV's observation row, as in the environment (`bus.observations.UGV`), and
-    returns the acceleration [m/s²].
+    trusted files. A policy for a UAV maps the observations of one UAV in all worlds to its accelerations [m/s²], shape
+    (worlds, 2); a saved one is loaded with the observation that it was trained on. A policy for a UGV is a function of
+    its observation and briefing, or an object that predicts from its row (`bus.observations.UGV`).
 
     Args:
-        name: `module:function`, `module:object` with a method `predict`, or `KIND:FILE` of a saved policy
-            (`bus.policies`).
+        name: `module:function`, `module:object`, or `KIND:FILE` of a saved policy (`bus.policies`).
+        vehicle: "uav" or "ugv".
         what: Field that names the policy, for errors.
 
     Raises:
         ScenarioError: If the policy does not exist, cannot be loaded, or has the wrong type.
     """
-    saved = _load_saved(name, what, "ugv")
+    if vehicle not in ("uav", "ugv"):
+        raise ValueError(f"vehicle = {vehicle!r}; allowed: 'uav', 'ugv'")
+    saved = _load_saved(name, what, vehicle)
     if saved is not None:
         return saved
     found = _named(name, what)
-    if isinstance(found, type) or not (callable(found) or isinstance(found, RowPolicy)):
-        raise ScenarioError(
-            f"{what} = {name!r}: not a policy; allowed: a function, or an object with a method predict"
-        )
+    predicts = vehicle == "ugv" and isinstance(found, RowPolicy)
+    if isinstance(found, type) or not (callable(found) or predicts):
+        other = "an object with a method predict" if vehicle == "ugv" else "a callable object"
+        raise ScenarioError(f"{what} = {name!r}: not a policy; allowed: a function, or {other}")
     return found
-
-
-def load_uav_policy(name: str, *, what: str = "uav_policy") -> "UavPolicy":
-    """Load a policy for UAVs: observations of one UAV in all worlds in, accelerations (worlds, 2) [m/s²] out.
-
-    A saved policy is loaded with the observation that it was trained on. Loading may run code in the file, so load
-    only trusted files.
-
-    Args:
-        name: `module:function`, or `KIND:FILE` of a saved policy (`bus.policies`).
-        what: Field that names the policy, for errors.
-
-    Raises:
-        ScenarioError: If the policy does not exist, cannot be loaded, or has the wrong type.
-    """
-    saved: UavPolicy | None = _load_saved(name, what, "uav")
-    if saved is not None:
-        return saved
-    found = _named(name, what)
-    if isinstance(found, type) or not callable(found):
-        raise ScenarioError(
-            f"{what} = {name!r}: not a policy; allowed: a function, or a callable object"
-        )
-    policy: UavPolicy = found
-    return policy
 
 
 def own_code(scenario: "Scenario") -> dict[str, str]:
@@ -140,8 +126,8 @@ def foreign_code(scenario: "Scenario", named: Iterable[str] = ()) -> tuple[str, 
     """
     changes = [change.partition("=") for change in named]
     own = {field.strip() for field, _, _ in changes}
-    # ugv.0.driver=fmu:FILE names code, too
-    values = {value.strip().strip("\"'") for _, _, value in changes}
+    # ugv.0.driver=fmu:FILE and ugv.0.driver=policy:module:function name code, too
+    values = {value.strip().strip("\"'").removeprefix("policy:") for _, _, value in changes}
     given = {} if "custom" in own else own_code(scenario)
     return tuple(
         f"{field} = {value!r}: the file names code; allow it with --allow-code (in Python: allow_code=True)"

@@ -53,8 +53,8 @@ class Settings:
     safety_filter: bool = False
     """True: the UAVs' actions pass the safety filter, as in the law `certified`."""
     others: Mapping[str, str | BatchPolicy] | None = None
-    """Control of the other vehicles: a law or driver by name, or a policy for all worlds; None: the scenario's law and
-    drivers.
+    """Control of the other vehicles: a law, driver or saved policy by name, such as `npz:FILE.npz`, or a policy for all
+    worlds; None: the scenario's law and drivers.
     """
     threads: int | None = None
     """Processor cores for the worlds; None: all that this process may use."""

@@ -12,7 +12,7 @@ from bus.law_parameters import (
     unknown_parameters,
 )
 from bus.numbers import above, at_least, at_most, exact
-from bus.policies import Vehicle, policy_forms, policy_kinds
+from bus.policies import Vehicle, is_policy_file, policy_forms
 from bus.registry import (
     DRIVERS,
     LAWS,
@@ -47,9 +47,14 @@ def _names_a_function(text: str) -> bool:
     return bool(separator) and all(part.isidentifier() for part in (*module.split("."), function))
 
 
-def _names_a_policy(text: str, vehicle: Vehicle) -> bool:
-    kind, separator, file = text.partition(":")
-    return bool(separator and file) if kind in policy_kinds(vehicle) else _names_a_function(text)
+def _policy_fault(text: str, vehicle: Vehicle) -> str:
+    """Return what is wrong with the name of a policy; empty if nothing is."""
+    try:
+        known = is_policy_file(text, vehicle)
+    except ValueError as error:
+        return str(error)
+    named = bool(text.partition(":")[2]) if known else _names_a_function(text)
+    return "" if named else "not a policy"
 
 
 _POLICIES: dict[str, Vehicle] = {"policy": "ugv", "uav_policy": "uav"}
@@ -65,8 +70,9 @@ def own_functions_are_named(scenario: Scenario) -> Iterator[Fault]:
     for field in scenario.custom.__struct_fields__:
         named = getattr(scenario.custom, field)
         if field in _POLICIES:
-            if named and not _names_a_policy(named, _POLICIES[field]):
-                yield Fault(f"custom.{field}", named, "not a policy", _forms(field))
+            wrong = _policy_fault(named, _POLICIES[field]) if named else ""
+            if wrong:
+                yield Fault(f"custom.{field}", named, wrong, _forms(field))
         elif named and not _names_a_function(named):
             yield Fault(f"custom.{field}", named, "not a function", "module:function")
     law = LAWS[scenario.law.name]

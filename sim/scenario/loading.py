@@ -10,7 +10,7 @@ import msgspec
 
 from bus.errors import ScenarioError
 from bus.files import read_regular
-from bus.policies import policy_kinds
+from bus.policies import is_policy_file, policy_forms
 from bus.registry import DRIVERS
 from sim.input.faults import Fault, near, one_line
 from sim.input.overrides import apply_override, parse_override
@@ -139,7 +139,7 @@ def given_scenario(scenario: str | Path | Scenario, duration: float | None = Non
 
 
 def _with_saved_drivers(raw: dict[str, object], *, file: str) -> None:
-    """Replace a driver such as `fmu:FILE.fmu` by the driver `policy` with this policy.
+    """Replace a driver such as `fmu:FILE.fmu` or `policy:module:function` by the driver `policy` with this policy.
 
     Raises:
         ScenarioError: If the scenario names another policy.
@@ -150,11 +150,18 @@ def _with_saved_drivers(raw: dict[str, object], *, file: str) -> None:
         return
     for k, ugv in enumerate(ugvs):
         named = ugv.get("driver") if isinstance(ugv, dict) else None
-        library, separator, _ = named.partition(":") if isinstance(named, str) else ("", "", "")
-        if not separator or library not in policy_kinds("ugv"):
+        if not isinstance(named, str):
             continue
-        other = custom.setdefault(own.own, named)
-        if other != named:
+        policy = named.removeprefix(f"{own.name}:")
+        try:
+            if policy == named and not is_policy_file(named, "ugv"):
+                continue
+        except ValueError as error:
+            raise Fault(f"ugv.{k}.driver", named, str(error), policy_forms("ugv")).error(
+                file
+            ) from error
+        other = custom.setdefault(own.own, policy)
+        if other != policy:
             wrong = f"custom.{own.own} = {one_line(str(other))!r} is another policy"
             raise Fault(f"ugv.{k}.driver", named, wrong, "one policy per run").error(file)
         ugv["driver"], raw["custom"] = own.name, custom

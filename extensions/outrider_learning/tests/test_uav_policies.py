@@ -1,6 +1,7 @@
 """A policy as the pilot of a UAV: the observations of the environment, and the same bits in one process or several."""
 
 import copy
+import importlib
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,16 +19,17 @@ from bus.errors import ScenarioError
 from flights import distances
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import InProcess, fly, make_pilots
-from outrider.running.user_code import check_own_functions, load_uav_policy
+from outrider.running.user_code import check_own_functions
 from outrider_learning.egocentric import Egocentric
 from outrider_learning.learned import LearnedPolicy
-from outrider_learning.recipe import ObservationRecipe, observation_recipe
+from outrider_learning.recipe import ObservationRecipe, make_layer, observation_recipe
 from outrider_learning.repeat import ActionRepeat
 from outrider_learning.saved import SavedPolicy
 from outrider_learning.stacking import Stack
 from outrider_learning.suite.scoring import evaluate
 from outrider_learning.suite.tasks import TASKS
-from outrider_learning.transformation import Transformed
+from outrider_learning.transformation import Transformation, Transformed
+from processes import python
 from refusals import refused
 from sim.engine.briefing import uav_briefing
 from sim.env.settings import settings_of
@@ -277,14 +279,56 @@ def test_saved_policies_need_the_altitudes_of_their_training() -> None:
         SavedPolicy(Linear(high.space(), 2), high)
 
 
-class Mine(Egocentric):
-    """A transformation defined by the user."""
+class Mine(Transformation):
+    """A transformation of the user's own, without settings."""
+
+    def space(self, space: Any) -> Any:
+        return space
+
+    def apply(self, observation: Any) -> Any:
+        return observation
+
+
+SCALED = """
+from outrider_learning.transformation import Transformation
+
+
+class Scaled(Transformation):
+    def __init__(self, factor):
+        self.factor = factor
+
+    def settings(self):
+        return {"factor": self.factor}
+
+    def space(self, space):
+        return space
+
+    def apply(self, observation):
+        return observation * self.factor
+"""
+
+
+def test_a_transformation_of_the_users_own_is_saved(tmp_path, monkeypatch) -> None:
+    (tmp_path / "my_scaled.py").write_text(SCALED, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    mine = importlib.import_module("my_scaled").Scaled(0.5)
+    (layer,) = observation_recipe(
+        Transformed(outrider.vector_env("escort", num_envs=1), mine)
+    ).layers
+    assert layer == {"kind": "my_scaled:Scaled", "factor": 0.5}
+    code = f"from outrider_learning.recipe import make_layer; print(make_layer({layer}).apply(8.0))"
+    assert python(code, cwd=tmp_path).stdout.strip() == "4.0"
+    with refused(ValueError, "layer kind = 'gone:Scaled': .*gone"):
+        make_layer({"kind": "gone:Scaled"})
+    with refused(ValueError, "layer 'json:dumps': ValueError: not a transformation; allowed: ego"):
+        make_layer({"kind": "json:dumps"})
 
 
 def test_what_cannot_be_saved_with_a_policy_is_refused() -> None:
     env = outrider.vector_env("escort", num_envs=1)
     for wrong, phrase in (
-        (Transformed(env, Mine()), "Mine: cannot be saved with a policy"),
+        (Transformed(env, Mine()), "Mine: cannot be saved with a policy without its own settings"),
         (gymnasium.wrappers.vector.RescaleAction(env, -1.0, 1.0), "RescaleAction: cannot be saved"),
         (outrider.vector_env("escort", num_envs=1, agent="ugv_0"), "agent = 'ugv_0': not a UAV"),
     ):
@@ -348,7 +392,7 @@ def test_many_worlds_do_not_fly_the_law_instead_of_the_policy(law: str) -> None:
     named = with_policy(ESCORT, law)
     with refused(ScenarioError, "uav_0: .*polic"):
         outrider.vector_env(named, num_envs=1, agent="ugv_0")
-    others = {"uav_0": load_uav_policy(NAME)}
+    others = {"uav_0": outrider.load_policy(NAME)}
     settings = {key: value for key, value in others["uav_0"].setup.items() if key != "duration"}
     outrider.vector_env(named, num_envs=1, agent="ugv_0", others=others, **settings).reset()
     outrider.vector_env(named, num_envs=1).reset()
@@ -359,7 +403,7 @@ def test_many_worlds_do_not_fly_the_law_instead_of_the_policy(law: str) -> None:
 
 def test_the_suite_flies_a_policy_with_its_own_observation() -> None:
     (task,) = (one for one in TASKS if one.name == "paper")
-    policy = load_uav_policy(NAME)
+    policy = outrider.load_policy(NAME)
     result = evaluate(task, policy, seeds=[9000], secret="", safety_filter=True)
     assert result.score > 80.0
     with refused(ValueError, "estimate = False: the policy was trained with True"):

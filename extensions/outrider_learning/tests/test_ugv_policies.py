@@ -170,7 +170,10 @@ def _seen(
 def test_saved_policy_flies_the_bits_of_the_environment(here: Path, name: str) -> None:
     scenario = _scenario(name)
     flight, _ = fly(scenario, 3)
-    model, env = load_policy(name), outrider.parallel_env(_scenario(), end_on_sight_lost=False)
+    model, env = (
+        load_policy(name, "ugv"),
+        outrider.parallel_env(_scenario(), end_on_sight_lost=False),
+    )
     fleet = pilots(env)
     observations, _ = env.reset(seed=3)
     k, state = 0, None
@@ -194,7 +197,7 @@ def test_saved_policy_flies_the_bits_of_the_environment(here: Path, name: str) -
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_what_an_sb3_policy_is_asked(here: Path, dtype: str) -> None:
     rewrite(here, "model.zip", dtype=dtype)
-    model = load_policy("sb3:ppo:model.zip")
+    model = load_policy("sb3:ppo:model.zip", "ugv")
     driver = PolicyDriver(ugv_briefing(), policy=model, name="x")
     for tick in range(3):
         driver.drive(_seen(tick))
@@ -278,7 +281,7 @@ def test_saved_policy_with_normalized_rows_is_refused_on_load(
 ) -> None:
     for low in (LOW, [-math.inf] * 8):
         rewrite(here, "model.zip", low=low, pictures=pictures)
-        assert load_policy("sb3:ppo:model.zip")
+        assert load_policy("sb3:ppo:model.zip", "ugv")
     for low in ([-1.0] * 8, [0.0] * 8):  # as scaled by `normalized` and by SuperSuit
         rewrite(here, "model.zip", low=low, pictures=pictures)
         assert "not rows in SI units" in refusal("sb3:ppo:model.zip")
@@ -288,9 +291,9 @@ def test_saved_policy_with_normalized_rows_is_refused_on_load(
 def test_an_onnx_graph_may_want_a_batch(here: Path, batch: list[Any]) -> None:
     rewrite(here, "model.onnx", batch=batch)
     row = UgvRows(ugv_briefing()).row(_seen())
-    found = PolicyDriver(ugv_briefing(), policy=load_policy("onnx:model.onnx"), name="x").drive(
-        _seen()
-    )
+    found = PolicyDriver(
+        ugv_briefing(), policy=load_policy("onnx:model.onnx", "ugv"), name="x"
+    ).drive(_seen())
     assert found == tuple(np.tanh(row @ np.array(WEIGHTS)))
 
 

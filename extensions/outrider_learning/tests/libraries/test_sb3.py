@@ -36,7 +36,7 @@ from stable_baselines3.common.vec_env import (
 import outrider
 from bus.errors import ScenarioError
 from outrider.running.flying import fly
-from outrider.running.user_code import check_own_functions, load_uav_policy
+from outrider.running.user_code import check_own_functions
 from outrider_learning.egocentric import Egocentric
 from outrider_learning.learned import LearnedPolicy
 from outrider_learning.mlp import load_policy
@@ -464,17 +464,17 @@ def test_a_model_of_plain_rows_flies_and_a_stacked_one_does_not(tmp_path):
     changes = {"custom.uav_policy": name, "duration": 2.0}
     assert fly(load_scenario(SCENARIO, overrides=changes), 1)[1].ticks == 40
     (task,) = (one for one in TASKS if one.name == "short-sight")
-    assert evaluate(task, load_uav_policy(name), seeds=[9000], safety_filter=True).score > 0.0
+    assert evaluate(task, outrider.load_policy(name), seeds=[9000], safety_filter=True).score > 0.0
     _, name = _trained(SAVED["stacked"], tmp_path)
     (tmp_path / "model.json").unlink()
     with pytest.raises(ScenarioError, match=r"shape \(2, 9\) are not the UAV's row"):
-        load_uav_policy(name)
+        outrider.load_policy(name)
     _, name = _trained(SAVED["stacked"], tmp_path)
     recipe = json.loads((tmp_path / "model.json").read_text())
     recipe["layers"] = []
     (tmp_path / "model.json").write_text(json.dumps(recipe))
     with pytest.raises(ScenarioError, match=r"observations of shape \(2, 9\)"):
-        load_uav_policy(name)
+        outrider.load_policy(name)
 
 
 def test_learning_page_trains_and_evaluates(tmp_path, monkeypatch, capsys):

@@ -1,0 +1,87 @@
+"""Policies that control the other vehicles of an environment, loaded by name."""
+
+import inspect
+from collections.abc import Mapping
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+
+from agents.drivers.policy import RowPolicy
+from bus.errors import ScenarioError
+from bus.observations import UGV, names
+from outrider.running.user_code import load_policy
+from sim.compiling.compile import FloatArray
+from sim.env.observation import AgentObservation, one_of_world
+from sim.scenario.types import Scenario
+
+_TIME = names(UGV).index("time")
+
+
+class RowPolicyOfWorlds:
+    """Row policy of a UGV in all worlds; each world has its own state.
+
+    Args:
+        model: Policy of one UGV.
+    """
+
+    def __init__(self, model: RowPolicy) -> None:
+        self._model = model
+        parameters = inspect.signature(model.predict).parameters
+        self._known = {"deterministic", "state", "episode_start"} & parameters.keys()
+        self._states: list[object] = []
+
+    def __call__(self, observation: AgentObservation) -> FloatArray:
+        """Return the accelerations [m/s²] of all worlds. Shape (worlds, 2)."""
+        row = observation["row"] if isinstance(observation, dict) else observation
+        if len(self._states) != len(row):
+            self._states = [None] * len(row)
+        return np.array([self._act(observation, k, row[k, _TIME] == 0.0) for k in range(len(row))])
+
+    def _act(self, observation: AgentObservation, world: int, starts: bool) -> Any:  # noqa: ANN401 - the environment checks it
+        if starts:
+            self._states[world] = None
+        given: dict[str, Any] = {
+            "deterministic": True,
+            "state": self._states[world],
+            "episode_start": np.array([starts]),
+        }
+        answer = self._model.predict(
+            one_of_world(observation, world), **{name: given[name] for name in self._known}
+        )
+        if isinstance(answer, tuple) and np.ndim(answer[0]) > 0:
+            answer, self._states[world] = answer
+        return answer
+
+
+def named_policies(others: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
+    """Return the pilots of the other vehicles, with policies in place of their names.
+
+    A name with a colon is a policy, such as `npz:FILE.npz` or `policy:module:function`, as in `outrider.load_policy`.
+
+    Args:
+        others: Pilots by vehicle.
+        scenario: Scenario of the environment.
+
+    Raises:
+        ScenarioError: If a policy cannot be loaded, or drives one world only.
+    """
+    uavs = {uav.name for uav in scenario.uav}
+    return {
+        name: _loaded(name, pilot, is_uav=name in uavs)
+        if isinstance(pilot, str) and ":" in pilot
+        else pilot
+        for name, pilot in others.items()
+    }
+
+
+def _loaded(vehicle: str, named: str, *, is_uav: bool) -> Any:  # noqa: ANN401
+    what = f"others: {vehicle}"
+    found = load_policy(named.removeprefix("policy:"), "uav" if is_uav else "ugv", what=what)
+    if is_uav:
+        return deepcopy(found)  # a module's object may control several UAVs
+    if not isinstance(found, RowPolicy):
+        raise ScenarioError(
+            f"{what} = {named!r}: a function of one UGV's observation; allowed: an object with a method predict"
+        )
+    return RowPolicyOfWorlds(found)
