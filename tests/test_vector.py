@@ -26,6 +26,45 @@ from sim.scenario.types import Scenario
 from tabular import words
 from worlds import CASES, FAST, LATE_DETECTIONS, SCENARIO, SCENARIOS, SEVERAL, equal, random_actions
 
+OWN: dict[str, dict[str, Any]] = {
+    "uav_1": {"estimate": True},
+    "uav_0": {"gradient": True, "dtype": np.float32},
+    "uav_2": {"coverage_patch": (4, 1.0)},
+}
+
+
+def test_observation_settings_may_differ_by_agent() -> None:
+    by_agent: dict[str, Any] = {}
+    for uav, own in OWN.items():
+        for key, value in own.items():
+            by_agent.setdefault(key, {})[uav] = value
+    many = outrider.parallel_vector_env(SEVERAL, num_envs=2, **by_agent)
+    one = outrider.parallel_env(SEVERAL, **by_agent)
+    plain = {uav: outrider.parallel_vector_env(SEVERAL, num_envs=2, **OWN[uav]) for uav in OWN}
+    for env in (many, one, *plain.values()):
+        env.reset(seed=3)
+    for uav, env in plain.items():
+        assert many.observation_space(uav) == env.observation_space(uav)
+        assert one.observation_space(uav) == env.observation_space(uav)
+    rng = np.random.default_rng(1)
+    for _ in range(40):
+        actions = {name: rng.uniform(-0.2, 0.2, (2, 2)) for name in many.agents}
+        seen = many.step(actions)[0]
+        first = one.step({name: given[0] for name, given in actions.items()})[0]
+        for uav, env in plain.items():
+            same = env.step(actions)[0]
+            assert equal(seen[uav], same[uav])
+            assert equal(first[uav], one_of_world(same[uav], 0))
+
+
+def test_settings_of_an_unknown_agent_are_refused() -> None:
+    with pytest.raises(ValueError, match="estimate: 'uav_9': no such vehicle; allowed: uav_0"):
+        outrider.parallel_env(SEVERAL, estimate={"uav_9": True})
+    with pytest.raises(ValueError, match=r"coverage_patch: .*allowed: the same for all vehicles"):
+        outrider.parallel_env(SEVERAL, coverage_patch={"uav_0": (4, 1.0), "uav_1": (5, 1.0)})
+    with pytest.raises(TypeError, match="estimate = 1; allowed: True, False"):
+        outrider.parallel_env(SEVERAL, estimate={"uav_0": 1})
+
 
 @pytest.mark.parametrize("name", CASES)
 def test_each_world_is_the_parallel_environment_also_over_ends(name: str) -> None:

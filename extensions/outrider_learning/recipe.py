@@ -101,7 +101,7 @@ def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of seve
         layer, inside = _taken_off(env)
         layers = [*([] if layer is None else [layer]), *layers]
         env = inside
-    scenario, options = env.worlds.scenario, env.worlds.settings
+    scenario, options = env.worlds.scenario, env.worlds.settings.of_agent(env.agent)
     uav = next((one for one in scenario.vehicles if one.name == env.agent), None)
     if not isinstance(uav, Uav):
         raise ValueError(f"agent = {env.agent!r}: not a UAV; allowed: a UAV")

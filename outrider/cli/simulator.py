@@ -197,8 +197,7 @@ def command(
         duration=duration,
         realtime=realtime,
         join_timeout=join_timeout,
-        respawn=respawn,
-        changes=changes,
+        changes=[*(changes or ()), *(["run.respawn=true"] if respawn else [])],
     )
     given, credential = None, None
     if connect:

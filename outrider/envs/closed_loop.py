@@ -21,6 +21,7 @@ from agents.safety.safety_filter import decision_of
 from bus.messages.decision import FilterDecision
 from bus.messages.links import LinkKind, LinkStatus
 from bus.messages.telemetry import MissionResult
+from bus.observations import UAV, names
 from outrider.envs.closed_loop_state import (
     CommandedState,
     CommandedTables,
@@ -90,6 +91,9 @@ class ClosedLoop:
         """UAVs, in the order of their arrays."""
         self.ugvs = tuple(name for name in self.names if name not in self.uavs)
         """UGVs, in the order of their arrays."""
+        options = options.of_loop(self.uavs)
+        self.has_estimates = bool(options.estimate)
+        """True if the UAVs' rows hold the estimate."""
         self.external = tuple(external)
         """Vehicles with external actions."""
         chosen = dict(pilots or {})
@@ -332,6 +336,25 @@ class ClosedLoop:
         """Return the coverage patch of a UAV in each world. Shape (worlds, pixels, pixels)."""
         pictures: FloatArray = self._pilots.patches[:, self.uavs.index(uav)]
         return pictures
+
+    def with_estimate(self, uav: str, rows: FloatArray) -> FloatArray:
+        """Return a UAV's rows with the estimate in place of the raw detection, as in rows with the setting `estimate`.
+
+        Args:
+            uav: Name of the UAV.
+            rows: Its rows in all worlds. Shape (worlds, entries).
+        """
+        if self.has_estimates:
+            return rows
+        now = self._pilots.kalman[:, self.uavs.index(uav), 0]
+        known, shown = now["known"].astype(np.bool_), rows.copy()
+        entry = {name: k for k, name in enumerate(names(UAV))}
+        shown[known, entry["detected"]] = 1.0
+        for axis in ("x", "y"):
+            relative = rows[:, entry[axis]] - now[axis]
+            shown[known, entry[f"relative_{axis}"]] = relative[known]
+        shown[known, entry["age"]] = (now["age"] * self.scenario.dt)[known]
+        return shown
 
     def known_tiles(self, ugv: str) -> TileArray:
         """Return a UGV's occupancy grid, from its sensor and by radio, in each world. Shape (worlds, rows, columns)."""

@@ -265,7 +265,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         for name in self.possible_agents:
             values += self._standings.state(name)
         space = self.state_space
-        return np.clip(np.array(values, dtype=self.worlds.settings.dtype), space.low, space.high)
+        return np.clip(np.array(values, dtype=self.worlds.state_dtype), space.low, space.high)
 
     def _state_space(self) -> spaces.Box:
         """Return the space of `state`."""
@@ -275,7 +275,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             row = self._standings.state_rows[vehicle.name]
             least, largest = bounds(row, extent_of(self.scenario, vehicle))
             low, high = low + least, high + largest
-        return box(low, high, self.worlds.settings.dtype)
+        return box(low, high, self.worlds.state_dtype)
 
     def metrics(self) -> dict[str, dict[str, Any]]:
         """Return each vehicle's true metrics and the terms of its last reward: for people and logs, not for policies.

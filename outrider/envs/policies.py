@@ -1,7 +1,7 @@
 """Policies that control the other vehicles of an environment, loaded by name."""
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from typing import Any
 
@@ -13,6 +13,7 @@ from bus.observations import UGV, names
 from outrider.running.user_code import load_policy
 from sim.compiling.compile import FloatArray
 from sim.env.observation import AgentObservation, one_of_world
+from sim.env.settings import BY_AGENT, Settings
 from sim.scenario.types import Scenario
 
 _TIME = names(UGV).index("time")
@@ -72,6 +73,28 @@ def named_policies(others: Mapping[str, Any], scenario: Scenario) -> dict[str, A
         if isinstance(pilot, str) and ":" in pilot
         else pilot
         for name, pilot in others.items()
+    }
+
+
+def observed_by(
+    policies: Mapping[str, Any], settings: Settings, vehicles: Iterable[str]
+) -> dict[str, dict[str, Any]]:
+    """Return the settings of the observations by vehicle, if a policy has a `setup` that differs from the settings.
+
+    Args:
+        policies: Policies by vehicle.
+        settings: Settings of the environment.
+        vehicles: Names of all vehicles.
+    """
+    own = {name: settings.of_agent(name) for name in vehicles}
+    setups = {name: getattr(policy, "setup", {}) for name, policy in policies.items()}
+    return {
+        key: {name: setups.get(name, {}).get(key, getattr(own[name], key)) for name in own}
+        for key in BY_AGENT
+        if any(
+            setup.get(key, getattr(own[n], key)) != getattr(own[n], key)
+            for n, setup in setups.items()
+        )
     }
 
 

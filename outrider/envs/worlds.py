@@ -19,7 +19,7 @@ from bus.messages.telemetry import MissionResult
 from bus.observations import as_rows
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.pilot_numbers import pilot_names
-from outrider.envs.policies import named_policies
+from outrider.envs.policies import named_policies, observed_by
 from outrider.running.metrics import MISSION, numbers
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
@@ -82,7 +82,9 @@ class Worlds:
             raise ValueError(
                 f"render_mode = {render_mode!r}; allowed: None, 'rgb_array'; outrider.parallel_env has a window"
             )
-        self.settings = options = settings_of(settings)
+        options = settings_of(settings)
+        self.state_dtype = np.float64 if isinstance(options.dtype, Mapping) else options.dtype
+        """Type of `state()`."""
         self.num_envs = _checked_count(num_envs)
         self.scenario = given_scenario(scenario, options.duration)
         names = [vehicle.name for vehicle in self.scenario.vehicles]
@@ -96,6 +98,8 @@ class Worlds:
         }
         named = {name: pilot for name, pilot in given.items() if isinstance(pilot, str)}
         self._check_others(given, named, names)
+        settings |= observed_by(self._policies, options, names)
+        self.settings = options = settings_of(settings)
         self._format = ObservationFormat(self.scenario, options)
         self._external = [*self.learners, *self._policies]
         self.loop = ClosedLoop(
@@ -150,8 +154,10 @@ class Worlds:
             known = loop.known_tiles(name) if form.tile_patch else None
             row = as_rows(loop.state.rows.ugv_rows)[:, loop.ugvs.index(name)]
             return form.shown(name, row, known=known)
-        coverage = None if form.patch is None else loop.patch(name)
+        coverage = loop.patch(name) if name in form.pictured else None
         row = as_rows(loop.state.rows.uav_rows)[:, loop.uavs.index(name), form.columns[name]]
+        if name in form.estimated:
+            row = loop.with_estimate(name, row)
         return form.shown(name, row, coverage=coverage)
 
     def standings(self, name: str) -> RecordArray:

@@ -71,14 +71,18 @@ class ObservationFormat:
     """
 
     def __init__(self, scenario: Scenario, settings: Settings) -> None:
-        self.dtype = settings.dtype
-        self.patch = given_patch(settings.coverage_patch)
-        """Picture of a UAV's map; None: no picture."""
+        settings.check_agents([vehicle.name for vehicle in scenario.vehicles])
+        self._settings = {one.name: settings.of_agent(one.name) for one in scenario.vehicles}
+        self.pictured = {
+            name for name, own in self._settings.items() if own.coverage_patch is not None
+        }
+        """Vehicles whose observation has a picture of the map, if they are UAVs."""
+        self.estimated = {name for name, own in self._settings.items() if own.estimate}
+        """Vehicles whose row has the estimate, if they are UAVs."""
         side = check_tile_patch(settings.tile_patch)
         self.tile_patch = side if scenario.has_ground else 0
         """Tiles per side of a UGV's picture of the ground; 0: no picture."""
         self._tile = float(scenario.ground.tile)
-        self._estimate, self._gradient = settings.estimate, settings.gradient
         self.spaces: dict[str, spaces.Space[Any]] = {
             vehicle.name: self._space(vehicle, extent_of(scenario, vehicle))
             for vehicle in scenario.vehicles
@@ -92,17 +96,29 @@ class ObservationFormat:
         self._bounds = {name: _row_bounds(space) for name, space in self.spaces.items()}
 
     def _table(self, uav: Uav) -> Table:
-        return uav_table(altitude=uav.initial_altitude is not None, gradient=self._gradient)
+        return uav_table(
+            altitude=uav.initial_altitude is not None,
+            gradient=bool(self._settings[uav.name].gradient),
+        )
 
     def _space(self, vehicle: Uav | Ugv, extent: dict[str, float]) -> spaces.Space[Any]:
+        own = self._settings[vehicle.name]
+        dtype: Any = own.dtype
         if isinstance(vehicle, Ugv):
-            row, side = box(*bounds(UGV, extent), self.dtype), self.tile_patch
+            row, side = box(*bounds(UGV, extent), dtype), self.tile_patch
             tiles = spaces.Box(0, OUTSIDE, (side, side), np.uint8)
             return spaces.Dict({"row": row, "tiles": tiles}) if side else row
-        pixels = 0 if self.patch is None else self.patch.pixels
+        patch = given_patch(own.coverage_patch)
+        pixels = 0 if patch is None else patch.pixels
         altitude = vehicle.initial_altitude is not None
-        cues = {"estimate": self._estimate, "gradient": self._gradient, "altitude": altitude}
-        return uav_space(extent, pixels=pixels, dtype=self.dtype, **cues)
+        return uav_space(
+            extent,
+            estimate=bool(own.estimate),
+            gradient=bool(own.gradient),
+            altitude=altitude,
+            pixels=pixels,
+            dtype=dtype,
+        )
 
     def shown(
         self, name: str, row: Row, *, coverage: Array | None = None, known: TileArray | None = None
@@ -115,9 +131,10 @@ class ObservationFormat:
             coverage: Picture of a UAV's map; None: no picture. Shape (..., pixels, pixels).
             known: Ground as known to a UGV; None: no picture. Shape (..., rows, columns).
         """
-        own = np.clip(row.astype(self.dtype), *self._bounds[name])
+        dtype: Any = self._settings[name].dtype
+        own = np.clip(row.astype(dtype), *self._bounds[name])
         if coverage is not None:
-            return {"row": own, "coverage": coverage.astype(self.dtype)}
+            return {"row": own, "coverage": coverage.astype(dtype)}
         return own if known is None else {"row": own, "tiles": self._tiles_around(row, known)}
 
     def _tiles_around(self, row: Row, known: TileArray) -> TileArray:

@@ -1,7 +1,7 @@
 """Settings of the environments, given by keyword."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from typing import Any
 
@@ -34,21 +34,24 @@ class Settings:
     """True: an episode terminates when a UAV loses sight of its UGV."""
     end_on_goals_reached: bool = False
     """True: an episode terminates when every UGV with goals has reached all of them."""
-    coverage_patch: CoveragePatch | tuple[int, float] | None = None
+    coverage_patch: CoveragePatch | tuple[int, float] | Mapping[str, Any] | None = None
     """Pixels, and metres per pixel, of a picture of the UAV's own map; its observation is then a dictionary with `row`
     and `coverage`. None: no picture.
+
+    This setting, `dtype`, `estimate` and `gradient` may be mappings by vehicle; a missing vehicle has the default. All
+    pictures have the same size.
     """
     tile_patch: int = TILE_PATCH
     """Tiles per side of a UGV's picture of the ground, an odd number; no effect without hazards."""
-    dtype: type[np.floating] = np.float64
+    dtype: type[np.floating] | Mapping[str, Any] = np.float64
     """Type of observations and state."""
     secret: str = ""
     """Secret of all random numbers, combined with each episode's seed: 32 to 128 hexadecimal digits. Empty: none, and
     the seed can be found from the random numbers.
     """
-    estimate: bool = False
+    estimate: bool | Mapping[str, bool] = False
     """True: the UAVs' rows hold the Kalman filter's estimate instead of the raw detection."""
-    gradient: bool = False
+    gradient: bool | Mapping[str, bool] = False
     """True: the UAVs' rows include `bus.observations.GRADIENT` at the end."""
     safety_filter: bool = False
     """True: the UAVs' actions pass the safety filter, as in the law `certified`."""
@@ -61,19 +64,83 @@ class Settings:
 
     def __post_init__(self) -> None:
         for name in _SWITCHES:
-            if not isinstance(getattr(self, name), (bool, np.bool_)):
-                raise TypeError(f"{name} = {getattr(self, name)!r}; allowed: True, False")
+            for value in (
+                _values(getattr(self, name)) if name in BY_AGENT else [getattr(self, name)]
+            ):
+                if not isinstance(value, (bool, np.bool_)):
+                    raise TypeError(f"{name} = {value!r}; allowed: True, False")
         if not isinstance(self.rewards, RewardWeights):
             raise TypeError(f"rewards = {self.rewards!r}; allowed: RewardWeights(...)")
         if not (self.others is None or isinstance(self.others, Mapping)):
             raise TypeError(f"others = {self.others!r}; allowed: pilots by vehicle, or None")
         check_secret(self.secret)
-        check_dtype(self.dtype)
-        given_patch(self.coverage_patch)
+        for dtype in _values(self.dtype):
+            check_dtype(dtype)
+        for patch in _values(self.coverage_patch):
+            given_patch(patch)
         check_tile_patch(self.tile_patch)
 
+    def of_agent(self, name: str) -> "Settings":
+        """Return the settings of one vehicle, without mappings by vehicle."""
+        own = {
+            key: given.get(name, default)
+            for key, default in BY_AGENT.items()
+            if isinstance(given := getattr(self, key), Mapping)
+        }
+        return replace(self, **own) if own else self
 
-_SWITCHES = [one.name for one in fields(Settings) if one.type is bool]
+    def of_loop(self, uavs: Iterable[str]) -> "Settings":
+        """Return the settings of the closed loop, which serves all vehicles.
+
+        The estimate is in the loop's rows only if all UAVs observe it; the estimator runs if any does.
+
+        Raises:
+            ValueError: If two pictures differ in size.
+        """
+        if not any(isinstance(getattr(self, key), Mapping) for key in BY_AGENT):
+            return self
+        each = [self.of_agent(name) for name in uavs]
+        patches = {given_patch(one.coverage_patch) for one in each} - {None}
+        if len(patches) > 1:
+            sizes = ", ".join(str(tuple(patch)) for patch in patches if patch)
+            raise ValueError(
+                f"coverage_patch: {sizes}; allowed: the same for all vehicles, or None"
+            )
+        estimate = bool(each) and all(one.estimate for one in each)
+        gradient = any(one.gradient or bool(one.estimate) != estimate for one in each)
+        patch = next(iter(patches), None)
+        return replace(
+            self, estimate=estimate, gradient=gradient, coverage_patch=patch, dtype=np.float64
+        )
+
+    def check_agents(self, names: Sequence[str]) -> None:
+        """Check that mappings by vehicle name these vehicles only.
+
+        Raises:
+            ValueError: If one names another.
+        """
+        for key in BY_AGENT:
+            given = getattr(self, key)
+            for name in given if isinstance(given, Mapping) else ():
+                if name not in names:
+                    raise ValueError(
+                        f"{key}: {name!r}: no such vehicle; allowed: {', '.join(names)}"
+                    )
+
+
+BY_AGENT: Mapping[str, Any] = {
+    "estimate": False,
+    "gradient": False,
+    "coverage_patch": None,
+    "dtype": np.float64,
+}
+"""Settings of an observation, which may be mappings by vehicle, with their defaults."""
+_SWITCHES = [one.name for one in fields(Settings) if isinstance(one.default, bool)]
+
+
+def _values(given: object) -> list[Any]:
+    """Return the values of a setting: of all vehicles, or one for all."""
+    return list(given.values()) if isinstance(given, Mapping) else [given]
 
 
 def settings_of(given: Mapping[str, Any]) -> Settings:

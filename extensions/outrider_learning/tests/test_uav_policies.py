@@ -392,9 +392,9 @@ def test_many_worlds_do_not_fly_the_law_instead_of_the_policy(law: str) -> None:
     named = with_policy(ESCORT, law)
     with refused(ScenarioError, "uav_0: .*polic"):
         outrider.vector_env(named, num_envs=1, agent="ugv_0")
-    others = {"uav_0": outrider.load_policy(NAME)}
-    settings = {key: value for key, value in others["uav_0"].setup.items() if key != "duration"}
-    outrider.vector_env(named, num_envs=1, agent="ugv_0", others=others, **settings).reset()
+    env = outrider.vector_env(named, num_envs=1, agent="ugv_0", others={"uav_0": NAME})
+    env.reset()
+    env.step(np.zeros((1, 2)))  # the policy has its own observation
     outrider.vector_env(named, num_envs=1).reset()
 
 
