@@ -11,6 +11,7 @@ from pkgutil import resolve_name
 from unittest.mock import create_autospec
 
 import msgspec
+import numpy as np
 import pytest
 
 import outrider
@@ -21,7 +22,7 @@ pytest.importorskip("mcap", reason="the extra [record] is not installed")
 import jsonschema
 
 from bus.errors import ScenarioError
-from bus.messages.vehicle import UavCommand
+from bus.messages.vehicle import UavCommand, UgvCommand
 from bus.registry import LAWS
 from flights import Piloted
 from outrider.recording.reader import flight_of
@@ -34,6 +35,7 @@ from outrider.running.user_code import foreign_code
 from outrider.view.flight_picture import flight_figure
 from outrider.view.output import output_folder
 from processes import ran
+from sim.env.spaces import action_space
 from sim.scenario.checks import scenario_warnings
 from sim.scenario.loading import load_scenario, scenario_names, schema_text, shipped_text
 from sim.scenario.types import Custom
@@ -350,6 +352,24 @@ def test_commands_in_wrong_units_are_counted_or_reported_once(tmp_path, monkeypa
         "further ones are only counted"
     )
     assert second.startswith("policy = 'units:wheel': tick 0: returned 5 m/s², above the")
+
+
+@pytest.mark.parametrize("name", ["escort", "scenario-2", "minefield", "town"])
+def test_no_action_of_the_space_counts_as_a_fault(name: str) -> None:
+    scenario = load_scenario(name)
+    flight = Flight(scenario, 1)
+    for tick in range(16):
+        commands: dict[str, UavCommand | UgvCommand] = {}
+        for vehicle in scenario.vehicles:
+            space = action_space(scenario, vehicle)
+            space.seed(tick)
+            corner = [(space.low, space.high)[tick >> k & 1][k] for k in range(space.shape[0])]
+            action = np.float32(corner if tick < 8 else space.sample()).tolist()
+            kind = UavCommand if vehicle in scenario.uav else UgvCommand
+            higher = {"vertical_acceleration": action[2]} if len(action) == 3 else {}
+            commands[vehicle.name] = kind(tick=tick, acceleration=tuple(action[:2]), **higher)
+        flight.apply(commands)
+    assert set(flight.answers.shortened.values()) == {0}
 
 
 @pytest.mark.parametrize("law", [law.name for law in LAWS.values() if not law.own])

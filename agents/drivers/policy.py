@@ -2,7 +2,6 @@
 
 import inspect
 import logging
-import math
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
@@ -19,8 +18,8 @@ from sim.models.ground import TileArray, tile_patches
 from sim.models.vehicles import next_goal
 
 _LOG = logging.getLogger("outrider.policy")
-_ROUNDING = 1e-9
-"""Relative excess over the bound that rounding alone may cause."""
+_ROUNDING = 1e-6
+"""Relative excess over the bound that rounding to single precision alone may cause."""
 
 
 @runtime_checkable
@@ -197,11 +196,14 @@ class PolicyDriver:
             raise self._asked.invalid_answer(tick, answer, allowed)
         if self._sees_rows:
             return found
-        self._check_bound(tick, math.hypot(*found))
+        self._check_bound(tick, max(map(abs, found)))
         return self._steering.within(observation, found)
 
     def _check_bound(self, tick: int, size: float) -> None:
-        """Warn once if an answer exceeds the UGV's acceleration bound: its units may be wrong."""
+        """Warn once if a component exceeds the UGV's acceleration bound: its units may be wrong.
+
+        Every action of the environment's space, a square around the bound of (1), is below.
+        """
         bound = self._steering.u_max
         if not self._long and size > bound * (1.0 + _ROUNDING):
             self._long = True

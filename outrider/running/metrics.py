@@ -229,7 +229,7 @@ PROCESS = _table(
     Metric("stale_commands", "late command used", "", 0,
            "Commands applied after the tick that they answer."),
     Metric("shortened_commands", "command beyond its bound", "", 0,
-           "Accelerations shortened to the vehicle's bound."),
+           "Accelerations with a component beyond the vehicle's bound, which are shortened."),
     Metric("lost", "lost", "", 0,
            "Disconnections of the process."),
     Metric("rejoined", "joined again", "", 0,

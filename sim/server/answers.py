@@ -15,8 +15,8 @@ from sim.server.assurance import Assurance
 from sim.server.recorder import Recorder
 from sim.world import World
 
-_ROUNDING = 1e-9
-"""Relative tolerance for rounding when a command is compared with its bound."""
+_ROUNDING = 1e-6
+"""Relative tolerance when a command is compared with its bound: policies may answer in single precision."""
 
 
 def _largest(motions: Iterable[BackupTrajectory]) -> float:
@@ -172,7 +172,7 @@ class Answers:
             self.assurance.end(uav, lost, clear=clear)
 
     def _count(self, tick: int, commands: Mapping[str, Command]) -> None:
-        """Count late commands, and commands above the vehicle's bound."""
+        """Count late commands, and commands with a component above the vehicle's bound."""
         for name, limit in self._limits.items():
             command = commands.get(name)
             if command is None or command.tick < tick:
@@ -181,7 +181,8 @@ class Answers:
             if command is None:
                 continue
             u_x, u_y = command.acceleration
-            size = u_x * u_x + u_y * u_y
+            # an action of the environments is in the square around the disc of (1), and no fault
+            size = max(u_x * u_x, u_y * u_y)
             if command.backup_trajectories:
                 size = max(size, _largest(command.backup_trajectories))
             if size > limit:
