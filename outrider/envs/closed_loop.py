@@ -143,7 +143,7 @@ class ClosedLoop:
         asked = settings.estimate or settings.gradient or settings.safety_filter
         pictured = settings.coverage_patch is not None
         commanded = len(self.external) == len(self.names)
-        return asked or pictured or not commanded or uses_radio(self.scenario)
+        return bool(asked) or pictured or not commanded or uses_radio(self.scenario)
 
     def _add_pilots(self, chosen: Mapping[str, str], settings: Settings) -> None:
         """Add the tables and the state of pilots, estimates and coverage patches."""

@@ -81,8 +81,8 @@ def loop_parameters(scenario: Scenario, settings: Settings, *, radio: bool) -> L
     """
     dt, ground, patch = scenario.dt, scenario.ground, given_patch(settings.coverage_patch)
     return LoopParameters(
-        estimate=settings.estimate,
-        gradient=settings.gradient,
+        estimate=bool(settings.estimate),
+        gradient=bool(settings.gradient),
         own_maps=len(scenario.uav) > 1 or scenario.disturbed or scenario.has_altitude,
         radio=radio,
         radio_ticks=radio_ticks(dt),

@@ -1,6 +1,6 @@
 """Pictures of the coverage around a UAV and of the ground around a UGV, for learned policies."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class CoveragePatch(NamedTuple):
@@ -15,7 +15,7 @@ MOST_PIXELS = 1024
 """Largest number of rows of a coverage picture."""
 
 
-def given_patch(given: CoveragePatch | tuple[int, float] | None) -> CoveragePatch | None:
+def given_patch(given: Any) -> CoveragePatch | None:  # noqa: ANN401 - a user's argument
     """Check the picture that a user requests; None: no picture.
 
     Raises:
