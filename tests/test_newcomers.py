@@ -354,7 +354,7 @@ def test_commands_in_wrong_units_are_counted_or_reported_once(tmp_path, monkeypa
     assert second.startswith("policy = 'units:wheel': tick 0: returned 5 m/s², above the")
 
 
-@pytest.mark.parametrize("name", ["escort", "scenario-2", "minefield", "town"])
+@pytest.mark.parametrize("name", ["escort", "scenario-2", "minefield"])
 def test_no_action_of_the_space_counts_as_a_fault(name: str) -> None:
     scenario = load_scenario(name)
     flight = Flight(scenario, 1)
