@@ -6,8 +6,10 @@ import math
 import numpy as np
 import pytest
 
+import outrider
 from flights import escort, pairs
 from outrider.envs.parallel import parallel_env
+from pages import PAGES
 from sim.env.rewards import RewardWeights, full_error
 from sim.scenario.types import Uav, Ugv
 
@@ -170,3 +172,68 @@ def test_episode_is_truncated_at_its_duration(duration, ticks):
 def test_bad_weights_are_refused(field, value):
     with pytest.raises(ValueError, match=field):
         RewardWeights(**{field: value})
+
+
+def chase(metrics):
+    """Reward an adversarial UGV for the distance; the UAV receives its weighted terms."""
+    assert metrics["uav_0"]["reward_uncovered"].shape == metrics["ugv_0"]["way_to_goal"].shape
+    return {"ugv_0": 0.1 * metrics["uav_0"]["distance"] + metrics["ugv_0"]["reward_progress"]}
+
+
+def test_a_reward_function_pays_alike_in_all_environments() -> None:
+    worlds = outrider.parallel_vector_env("escort", num_envs=3, reward_function=chase, duration=2.0)
+    plain = outrider.parallel_env("escort", duration=2.0)
+    env = outrider.parallel_env("escort", reward_function=chase, duration=2.0)
+    single = outrider.single_env("escort", agent="ugv_0", reward_function=chase, duration=2.0)
+    for one, seed in ((worlds, 1), (plain, 3), (env, 3), (single, 3)):
+        one.reset(seed=seed)
+    returned = 0.0
+    for _ in range(40):
+        actions = dict.fromkeys(env.agents, np.array([0.1, 0.2]))
+        _, expected, *_ = plain.step(actions)
+        before = env.step(actions)[1]
+        many = {name: np.tile(action, (3, 1)) for name, action in actions.items()}
+        _, paid, *_, infos = worlds.step(many)
+        metrics = env.metrics()
+        wanted = 0.1 * metrics["uav_0"]["distance"] + metrics["ugv_0"]["reward_progress"]
+        assert before == {"uav_0": expected["uav_0"], "ugv_0": wanted}
+        assert {name: rewards[2] for name, rewards in paid.items()} == before
+        returned += before["ugv_0"]
+    assert infos["ugv_0"]["final_info"]["episode"]["r"][2] == returned
+    assert single.step([0.1, 0.2])[1] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("reward", "fault"),
+    [
+        (lambda _: 1.0, "rewards by vehicle"),
+        (lambda _: {"uav_9": 1.0}, "no such vehicle; allowed: uav_0, ugv_0"),
+        (lambda _: {"uav_0": np.nan}, "finite numbers"),
+        (lambda _: {"uav_0": [1.0, 2.0, 3.0]}, r"shape \(1,\)"),
+    ],
+)
+def test_bad_rewards_of_a_function_raise(reward, fault) -> None:
+    env = outrider.single_env("escort", reward_function=reward)
+    env.reset(seed=1)
+    with pytest.raises((TypeError, ValueError), match=fault):
+        env.step([0.0, 0.0])
+    with pytest.raises(TypeError, match=r"reward_function = 3: .*allowed"):
+        outrider.single_env("escort", reward_function=3)
+
+
+def test_metrics_have_the_same_names_with_one_world_or_many() -> None:
+    one, many = outrider.parallel_env("escort"), outrider.vector_env("escort", num_envs=2)
+    for env in (one, many):
+        env.reset(seed=1)
+    names = {name: set(found) for name, found in one.metrics().items()}
+    assert names == {name: set(found) for name, found in many.metrics().items()}
+    assert {"reward_progress", "way_to_goal"} <= names["ugv_0"]
+
+
+def test_losing_sight_at_once_costs_396_in_escort() -> None:
+    env = outrider.single_env("escort")
+    env.reset(seed=1)
+    over = False
+    while not over:
+        _, reward, over, *_ = env.step([-1.0, -1.0])
+    assert f"{reward:.0f}".replace("-", "−") in PAGES["docs/how-to/rewards.md"]

@@ -76,7 +76,7 @@ class AutoresetWorlds(Worlds):
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             return self._step_or_begin(actions)
         ended = self.step(actions)
-        self._returns += self.loop.state.rows.standings["reward"]
+        self._returns += self.all_rewards()
         rewards = {name: self.rewards(name) for name in self.learners}
         terminated, truncated = self.ends()
         final: dict[str, dict[str, Any]] = {name: {} for name in self.learners}

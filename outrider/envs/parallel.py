@@ -195,7 +195,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         for name, action in actions.items():
             if isinstance(action, (UavCommand, UgvCommand)):
                 self._carry(world, name, action)
-        loop.step(self._actions)
+        self.worlds.advance(self._actions)
         rows, names = loop.state.rows, self.agents
         terminated, truncated = bool(rows.terminated[0]), bool(rows.truncated[0])
         if terminated or truncated:
@@ -203,7 +203,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self._follow()
         return (
             self._observations(),
-            dict(zip(names, rows.standings["reward"][0].tolist(), strict=True)),
+            dict(zip(names, self.worlds.all_rewards()[0].tolist(), strict=True)),
             dict.fromkeys(names, terminated),
             dict.fromkeys(names, truncated),
             self._infos(),
@@ -286,10 +286,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             ResetNeeded: Before the first reset.
         """
         _ = self.world  # raises before the first reset
-        return {
-            name: self._standings.metrics(name) | self.worlds.reasons(name)
-            for name in self.possible_agents
-        }
+        return self.worlds.first_metrics()
 
     def links(self) -> dict[str, LinkStatus]:
         """Return the counters of each link so far, by `vehicle/kind`: for people and logs, not for policies.

@@ -120,14 +120,11 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         return self.worlds.episode_seeds[0]
 
     def metrics(self) -> dict[str, dict[str, Any]]:
-        """Return each UAV's true metrics in this episode: for people and logs, not for policies.
+        """Return each vehicle's true metrics and the terms of its last reward: for people and logs, not for policies.
 
         A UAV inside the safety filter also has `uncertified`, the reason of `NotCertified`; empty: certified.
         """
-        return {
-            uav: {key: float(array[0]) for key, array in metrics.items()} | self.worlds.reasons(uav)
-            for uav, metrics in self.worlds.metrics().items()
-        }
+        return self.worlds.first_metrics()
 
     def links(self) -> dict[str, LinkStatus]:
         """Return the counters of each link so far, by `vehicle/kind`: for people and logs, not for policies."""

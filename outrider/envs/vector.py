@@ -121,7 +121,7 @@ class OutriderVectorEnv(VectorEnv):
         return self.worlds.render()
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
-        """Return each UAV's true metrics, as in `Worlds.metrics`: for people and logs, not for policies."""
+        """Return each vehicle's true metrics, as in `Worlds.metrics`: for people and logs, not for policies."""
         return self.worlds.metrics()
 
     def close_extras(self, **_: Any) -> None:  # noqa: ANN401 - Gymnasium's
@@ -216,7 +216,7 @@ class OutriderParallelVectorEnv:
         return self.worlds.render()
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
-        """Return each UAV's true metrics, as in `Worlds.metrics`: for people and logs, not for policies."""
+        """Return each vehicle's true metrics, as in `Worlds.metrics`: for people and logs, not for policies."""
         return self.worlds.metrics()
 
     def close(self) -> None:

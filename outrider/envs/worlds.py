@@ -25,9 +25,11 @@ from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
 from sim.env.actions import check_by_agent, take_batch
 from sim.env.observation import AgentObservation, ObservationFormat
+from sim.env.reward_function import rewards_by
 from sim.env.seeds import Seeds, check_options
 from sim.env.settings import settings_of
 from sim.env.spaces import action_space
+from sim.env.standings import true_metrics
 from sim.env.view import BatchRendering
 from sim.scenario.loading import given_scenario
 from sim.scenario.types import Scenario
@@ -119,6 +121,7 @@ class Worlds:
         self.observation_spaces = self._format.spaces
         self._seeds = [Seeds() for _ in range(self.num_envs)]
         self._actions: FloatArray = np.zeros((self.num_envs, len(self._external), 3))
+        self._paid: FloatArray = np.zeros((self.num_envs, len(names)))
         self.has_episode = False
         """True after the first reset."""
         self._view = None if render_mode is None else BatchRendering(self.loop.batch)
@@ -248,6 +251,7 @@ class Worlds:
             self._seeds[k].begin(seeds[k])
         self.loop.begin([self._seeds[k].current for k in which.tolist()], which)
         self.has_episode = True
+        self._paid[which] = 0.0
         if self._view is not None:
             self._view.begin(which)
         return which
@@ -309,7 +313,7 @@ class Worlds:
         ]
         for place, action in enumerate(taken):
             self._actions[:, place, : action.shape[1]] = action
-        self.loop.step(self._actions, which)
+        self.advance(self._actions, which)
         if self._view is not None:
             self._view.follow()
         rows = self.loop.state.rows
@@ -319,9 +323,22 @@ class Worlds:
     def _taken(self, name: str, actions: npt.ArrayLike) -> FloatArray:
         return take_batch(name, actions, self.num_envs, self.action_lengths[name])
 
+    def advance(self, actions: FloatArray, which: IntArray | None = None) -> None:
+        """Advance worlds by one tick with the actions of `ClosedLoop.step`, and pay the rewards."""
+        self.loop.step(actions, which)
+        weighted, function = self.loop.state.rows.standings["reward"], self.settings.reward_function
+        if function is None:
+            self._paid[:] = weighted
+        else:
+            self._paid = rewards_by(function, self.metrics(), self.loop.names, weighted)
+
+    def all_rewards(self) -> FloatArray:
+        """Return the rewards of the last tick. Shape (num_envs, vehicles)."""
+        return self._paid
+
     def rewards(self, name: str) -> FloatArray:
-        """Return the rewards of the last tick. Shape (num_envs,)."""
-        return self.standings(name)["reward"].copy()
+        """Return a vehicle's rewards of the last tick. Shape (num_envs,)."""
+        return self._paid[:, self.loop.names.index(name)].copy()
 
     def ends(self) -> tuple[BoolArray, BoolArray]:
         """Return the masks of terminated and of truncated episodes. Shape (num_envs,) each."""
@@ -329,14 +346,28 @@ class Worlds:
         return state.rows.terminated != 0, state.rows.truncated != 0
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
-        """Return each UAV's true metrics in its episode, in all worlds: for people and logs, not for policies.
+        """Return each vehicle's true metrics and the terms of its last reward, in all worlds.
+
+        They are for people, logs and rewards, not for policies.
 
         Raises:
             ResetNeeded: Before the first reset.
         """
         if not self.has_episode:
             raise ResetNeeded("metrics() before reset()")
-        return {uav: self.loop.metrics(uav) for uav in self.loop.uavs}
+        rows, state = self.loop.tables.rows, self.loop.state.rows
+        return {
+            name: true_metrics(self.scenario, rows, state, name)
+            | (self.loop.metrics(name) if name in self.loop.uavs else {})
+            for name in self.loop.names
+        }
+
+    def first_metrics(self) -> dict[str, dict[str, Any]]:
+        """Return `metrics` of the first world as plain numbers, with the words of `reasons`."""
+        return {
+            name: {key: array.item(0) for key, array in found.items()} | self.reasons(name)
+            for name, found in self.metrics().items()
+        }
 
     def links(self, world: int) -> dict[str, LinkStatus]:
         """Return the counters of each link of one world so far, by `vehicle/kind`."""

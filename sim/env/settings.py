@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from sim.engine.run_keys import check_secret
 from sim.env.patch import TILE_PATCH, CoveragePatch, check_tile_patch, given_patch
+from sim.env.reward_function import RewardFunction
 from sim.env.rewards import RewardWeights
 from sim.env.spaces import check_dtype
 
@@ -30,6 +31,10 @@ class Settings:
     """Duration of an episode [s], after which it is truncated; None: the scenario's."""
     rewards: RewardWeights = field(default_factory=RewardWeights)
     """Weights of the reward terms."""
+    reward_function: RewardFunction | None = None
+    """Function from `metrics()`, with arrays of shape (worlds,), to the rewards by vehicle; a vehicle left out receives
+    its weighted terms. None: all do.
+    """
     end_on_sight_lost: bool = True
     """True: an episode terminates when a UAV loses sight of its UGV."""
     end_on_goals_reached: bool = False
@@ -71,6 +76,10 @@ class Settings:
                     raise TypeError(f"{name} = {value!r}; allowed: True, False")
         if not isinstance(self.rewards, RewardWeights):
             raise TypeError(f"rewards = {self.rewards!r}; allowed: RewardWeights(...)")
+        if not (self.reward_function is None or callable(self.reward_function)):
+            raise TypeError(
+                f"reward_function = {self.reward_function!r}; allowed: a function of the metrics, or None"
+            )
         if not (self.others is None or isinstance(self.others, Mapping)):
             raise TypeError(f"others = {self.others!r}; allowed: pilots by vehicle, or None")
         check_secret(self.secret)

@@ -2,6 +2,9 @@
 
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from bus.observations import ALTITUDE, UAV, UAV_STATE, UGV_STATE, Row, Table, as_rows
 from sim.env.rewards import MISSION_TERMS, UAV_TERMS, UGV_TERMS
 from sim.env.rows import RowState, RowTables
@@ -21,7 +24,6 @@ class Standings:
     def __init__(self, scenario: Scenario, tables: RowTables, state: RowState, world: int) -> None:
         names = [vehicle.name for vehicle in scenario.vehicles]
         self._dt = scenario.dt
-        self._grounded = scenario.has_ground
         self._tables, self._state, self._world = tables, state, world
         self._numbers = {name: number for number, name in enumerate(names)}
         self._places: dict[str, int] = dict(zip(names, tables.place.tolist(), strict=True))
@@ -58,25 +60,30 @@ class Standings:
         truth: list[float] = row[1:]
         return truth
 
-    def metrics(self, name: str) -> dict[str, float]:
-        """Return a vehicle's metrics, for users."""
-        truly, found = self._standing(name), dict[str, float]()
-        if self._places[name] >= 0:
-            found = {
-                "distance": truly["distance"],
-                "margin": float(sight_margin(truly["distance"], truly["sight_radius"])),
-                "max_distance": truly["max_distance"],
-                "visibility_violations": truly["violations"],
-                "coverage_error": truly["error"],
-                "uncovered_share": truly["error"] / self._tables.episode["full"].item(),
-            }
-            terms = UAV_TERMS
-        else:
-            found = {"goals_reached": truly["reached"], "way_to_goal": truly["to_go"]}
-            terms = UGV_TERMS
-        paid = {
-            f"reward_{name}": term
-            for name, term in zip(terms, truly["terms"], strict=False)
-            if self._grounded or name not in MISSION_TERMS
+
+def true_metrics(
+    scenario: Scenario, tables: RowTables, state: RowState, name: str
+) -> dict[str, npt.NDArray[Any]]:
+    """Return a vehicle's true metrics and the terms of its last reward in all worlds: new arrays, shape (worlds,)."""
+    number = [vehicle.name for vehicle in scenario.vehicles].index(name)
+    truly, found = state.standings[:, number].copy(), dict[str, npt.NDArray[Any]]()
+    if tables.place[number] >= 0:
+        error = truly["error"] if tables.episode["error"].item() else np.full(len(truly), np.nan)
+        found = {
+            "distance": truly["distance"],
+            "margin": sight_margin(truly["distance"], truly["sight_radius"]),
+            "max_distance": truly["max_distance"],
+            "visibility_violations": truly["violations"],
+            "coverage_error": error,
+            "uncovered_share": error / tables.episode["full"].item(),
         }
-        return found | paid
+        terms = UAV_TERMS
+    else:
+        found = {"goals_reached": truly["reached"], "way_to_goal": truly["to_go"]}
+        terms = UGV_TERMS
+    paid = {
+        f"reward_{term}": truly["terms"][:, n]
+        for n, term in enumerate(terms)
+        if scenario.has_ground or term not in MISSION_TERMS
+    }
+    return {key: array.copy() for key, array in (found | paid).items()}

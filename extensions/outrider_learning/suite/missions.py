@@ -116,7 +116,7 @@ def evaluate_mission(
         else:
             _fly(worlds)
         missions = [worlds.loop.mission(k) for k in range(len(seeds))]
-        flown = worlds.metrics()
+        flown = {uav: worlds.loop.metrics(uav) for uav in worlds.loop.uavs}
     shortest = shortest_time(scenario)
     finds = sum(mission.finds for mission in missions)
     return result_of(

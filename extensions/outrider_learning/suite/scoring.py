@@ -289,7 +289,8 @@ def evaluate(
         check_law(entry, pilot_names(scenario, uavs[0]))
     own = derive_secret(kept, task.name)
     with started_worlds(scenario, dict.fromkeys(uavs, entry), seeds, own, settings) as worlds:
-        meter, flown = _fly(worlds), worlds.metrics()
+        meter = _fly(worlds)
+        flown = {uav: worlds.loop.metrics(uav) for uav in worlds.loop.uavs}
     scores = (100.0 * meter.seen / (scenario.ticks + 1)).tolist()
     return result_of(
         Result,
