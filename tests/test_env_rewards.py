@@ -9,7 +9,7 @@ import pytest
 import outrider
 from flights import escort, pairs
 from outrider.envs.parallel import parallel_env
-from pages import PAGES
+from pages import PAGES, blocks, run_shown
 from sim.env.rewards import RewardWeights, full_error
 from sim.scenario.types import Uav, Ugv
 
@@ -213,16 +213,16 @@ def test_a_reward_function_pays_alike_in_all_environments() -> None:
     ],
 )
 def test_bad_rewards_of_a_function_raise(reward, fault) -> None:
-    env = outrider.single_env("escort", reward_function=reward)
+    env = outrider.parallel_env("escort", reward_function=reward)
     env.reset(seed=1)
     with pytest.raises((TypeError, ValueError), match=fault):
-        env.step([0.0, 0.0])
+        env.step(dict.fromkeys(env.agents, STILL))
     with pytest.raises(TypeError, match=r"reward_function = 3: .*allowed"):
-        outrider.single_env("escort", reward_function=3)
+        outrider.parallel_env("escort", reward_function=3)
 
 
 def test_metrics_have_the_same_names_with_one_world_or_many() -> None:
-    one, many = outrider.parallel_env("escort"), outrider.vector_env("escort", num_envs=2)
+    one, many = outrider.parallel_env("escort"), outrider.parallel_vector_env("escort", num_envs=2)
     for env in (one, many):
         env.reset(seed=1)
     names = {name: set(found) for name, found in one.metrics().items()}
@@ -230,10 +230,25 @@ def test_metrics_have_the_same_names_with_one_world_or_many() -> None:
     assert {"reward_progress", "way_to_goal"} <= names["ugv_0"]
 
 
-def test_losing_sight_at_once_costs_396_in_escort() -> None:
-    env = outrider.single_env("escort")
-    env.reset(seed=1)
-    over = False
-    while not over:
-        _, reward, over, *_ = env.step([-1.0, -1.0])
-    assert f"{reward:.0f}".replace("-", "−") in PAGES["docs/how-to/rewards.md"]
+def test_the_page_states_the_cost_of_losing_sight() -> None:
+    page, costs = PAGES["docs/how-to/rewards.md"], []
+    for ends in (True, False):
+        env = outrider.parallel_env("escort", end_on_sight_lost=ends)
+        env.reset(seed=1)
+        lost = False
+        while not lost:
+            _, paid, *_ = env.step({"uav_0": np.ones(2), "ugv_0": STILL})
+            metrics = env.metrics()["uav_0"]
+            lost = metrics["margin"] <= 0.0
+        costs.append(metrics["reward_sight_lost"] + metrics["reward_out_of_sight"])
+        if ends:
+            assert f"loses sight after {env.world.time:.2f} s" in page
+            assert f"receives −{-paid['uav_0']:.0f}." in page
+    assert costs == pytest.approx([-394.8, -10.1])
+    assert "costs −10.1" in page
+
+
+def test_the_example_on_the_page_about_rewards_runs(capsys) -> None:
+    (block,) = blocks("python", "docs/how-to/rewards.md")
+    run_shown(block, "docs/how-to/rewards.md")
+    assert capsys.readouterr().out.startswith("[0.")
