@@ -94,6 +94,9 @@ GRADIENT: Table = tuple(
 )
 """Optional entries of a UAV's observation: the direction of uncovered ground, on its own map."""
 
+OMITTED: Mapping[str, tuple[str, ...]] = {"time": ("time",), "position": ("x", "y")}
+"""Entries of a UAV's row that can be left out, by the name of the part."""
+
 UGV: Table = (
     _TIME,
     *_motion("own "),
@@ -140,6 +143,12 @@ def by_name(table: Table, rows: npt.ArrayLike) -> dict[str, Any]:
         rows: Shape (..., entries).
     """
     return dict(zip(names(table), np.moveaxis(np.asarray(rows), -1, 0), strict=True))
+
+
+def without(table: Table, omit: Iterable[str]) -> Table:
+    """Return the table without the parts of `OMITTED` that are named."""
+    left_out = [name for part in omit for name in OMITTED[part]]
+    return tuple(entry for entry in table if entry.name not in left_out)
 
 
 def record_type(table: Table) -> np.dtype[np.void]:

@@ -209,6 +209,8 @@ def test_nothing_works_before_the_first_reset_or_after_the_end():
     ("setting", "phrase"),
     [
         ({"coverage_patch": 32}, r"coverage_patch = 32: not a pair; allowed: \(pixels"),
+        ({"omit": "time"}, r"omit = 'time'; allowed: a tuple of time, position"),
+        ({"omit": ("age",)}, r"omit = .'age',.; allowed: each of time, position at most once"),
         ({"gradients": True}, "'gradients': unknown setting .did you mean 'gradient'"),
         ({"num_envs": 4}, "'num_envs': unknown setting .for many worlds: outrider.vector_env"),
     ],

@@ -10,7 +10,7 @@ from agents.uav_parameters import UavParameters
 from bus.errors import ScenarioError
 from bus.messages.base import Vector
 from bus.messages.vehicle import UavBriefing, UavObservation
-from bus.observations import ALTITUDE, GRADIENT, UAV, Row, clipped
+from bus.observations import ALTITUDE, GRADIENT, UAV, Row, clipped, names, without
 from bus.ticks import Look, looks_of
 from sim.compiling.compile import FloatArray
 from sim.models.field import coverage_gradient, sample
@@ -27,6 +27,7 @@ receives the briefing, raises a ValueError if the policy was made for another UA
 SETUP: Mapping[str, Any] = {
     "estimate": False,
     "gradient": False,
+    "omit": (),
     "coverage_patch": None,
     "dtype": np.float64,
     "duration": None,
@@ -105,6 +106,13 @@ class PolicyControl:
         self.occlusion: Occlusion | None = None
         """Known buildings as the UAV sees them; None: there are none."""
         self._climbs = briefing.altitude is not None
+        self._table = UAV
+        if self._climbs:
+            self._table += ALTITUDE
+        if self._setup["gradient"]:
+            self._table += GRADIENT
+        kept = names(without(self._table, self._setup["omit"]))
+        self._columns = [k for k, name in enumerate(names(self._table)) if name in kept]
         self.vertical = 0.0
         """Vertical acceleration of the last answer [m/s²]; 0 for a UAV that flies in the plane."""
         patch = self._setup["coverage_patch"]
@@ -158,14 +166,12 @@ class PolicyControl:
         if target.known and self._setup["estimate"]:
             seen = 1.0, x - target.x, y - target.y, target.age * self._dt
         entries = [time, x, y, *observation.velocity, *seen]
-        table = UAV
         if self._climbs:
             entries += [observation.altitude or 0.0, observation.climb_rate]
-            table += ALTITUDE
         if self._setup["gradient"]:
             entries += self._gradient(x, y, target, coverage)
-            table += GRADIENT
-        return clipped(table, np.array(entries, dtype=np.float64), self._area, self._dt)
+        row = clipped(self._table, np.array(entries, dtype=np.float64), self._area, self._dt)
+        return row[self._columns]
 
     def _gradient(
         self, x: float, y: float, target: TargetEstimate, coverage: FloatArray

@@ -1,11 +1,23 @@
 """Vehicle frame: rows, coverage pictures and actions rotated with the vehicle's heading."""
 
+from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
 
-from bus.observations import ALTITUDE, GRADIENT, UAV, UGV, Entry, Table, bounds, by_name, names
+from bus.observations import (
+    ALTITUDE,
+    GRADIENT,
+    UAV,
+    UGV,
+    Entry,
+    Table,
+    bounds,
+    by_name,
+    names,
+    without,
+)
 from outrider_learning.transformation import Mask, Transformation
 from sim.env.observation import AgentObservation, Array
 from sim.env.spaces import box
@@ -35,7 +47,24 @@ UGV_BODY: Table = (
 """Row of a UGV in its own frame."""
 
 _FURTHER = ((), ALTITUDE, GRADIENT, ALTITUDE + GRADIENT)
-_BODY_OF = ((UGV, UGV_BODY), *((UAV + more, UAV_BODY + more) for more in _FURTHER))
+_OMITS = ((), ("time",), ("position",), ("time", "position"))
+_LEFT_OUT = {"time": ("time",), "position": ("centre_x", "centre_y")}
+
+
+def _body_without(table: Table, omit: Sequence[str]) -> Table:
+    """Return the row in the vehicle frame if these parts are left out of the row in the world frame."""
+    left_out = [name for part in omit for name in _LEFT_OUT[part]]
+    return tuple(entry for entry in table if entry.name not in left_out)
+
+
+_BODY_OF = (
+    (UGV, UGV_BODY),
+    *(
+        (without(UAV + more, omit), _body_without(UAV_BODY + more, omit))
+        for more in _FURTHER
+        for omit in _OMITS
+    ),
+)
 """Rows in the world frame, and in the vehicle frame."""
 _NEEDED = "Egocentric needs the row of a UAV or a UGV, in SI units, not {} of shape {}"
 
@@ -88,9 +117,11 @@ class Egocentric(Transformation):
         self._axes = 3 if "altitude" in names(self._table) else 2
         old = cast("spaces.Box", space)
         high = by_name(self._table, old.high.astype(np.float64))
-        self._centre = 0.5 * high["x"], 0.5 * high["y"]
-        diagonal = float(np.hypot(high["x"], high["y"]))
-        extent = {"T": high["time"], "v_max": high["vx"], "D": diagonal, "R": 0.5 * diagonal}
+        width, height = high.get("x", 0.0), high.get("y", 0.0)
+        self._centre = 0.5 * width, 0.5 * height
+        diagonal = float(np.hypot(width, height))
+        extent = {"T": high.get("time", high.get("age", 0.0)), "v_max": high["vx"]}
+        extent |= {"D": diagonal, "R": 0.5 * diagonal}
         extent["d_max"] = high.get("relative_x", diagonal)
         extent |= {"z_max": high.get("altitude", 0.0), "w_max": high.get("climb_rate", 0.0)}
         self._box = box(*bounds(self._body, extent), cast("Any", old.dtype).type)
@@ -131,7 +162,8 @@ class Egocentric(Transformation):
             for name in ("relative", "gradient", "goal")
             if f"{name}_x" in entries
         }
-        vectors["centre"] = self._centre[0] - entries["x"], self._centre[1] - entries["y"]
+        if "x" in entries:
+            vectors["centre"] = self._centre[0] - entries["x"], self._centre[1] - entries["y"]
         if "goal" in vectors:
             x, y = vectors["goal"][0] - entries["x"], vectors["goal"][1] - entries["y"]
             vectors["goal"] = x * entries["underway"], y * entries["underway"]

@@ -93,6 +93,7 @@ class LearnedPolicy:
         pixels, meters = recipe["coverage_patch"]
         self.setup: dict[str, Any] = {
             "estimate": True,
+            "omit": (),
             "coverage_patch": (int(pixels), float(meters)),
         }
         """Arguments of the vector environment with the required observations."""

@@ -57,6 +57,7 @@ class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     """Length of a tick [s]; None if unknown."""
     estimate: bool = False
     gradient: bool = False
+    omit: tuple[Literal["time", "position"], ...] = ()
     coverage_patch: tuple[int, float] | None = None
     dtype: Literal["float32", "float64"] = "float64"
     """Settings of `outrider.vector_env`."""
@@ -80,10 +81,30 @@ class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
             self.extent,
             estimate=self.estimate,
             gradient=self.gradient,
+            omit=self.omit,
             altitude=self.altitude,
             pixels=0 if patch is None else patch.pixels,
             dtype=np.dtype(self.dtype).type,
         )
+
+    def shown_space(self) -> spaces.Space[Any]:
+        """Return the space of the observations behind all layers."""
+        space = self.space()
+        for layer in map(make_layer, self.layers):
+            if isinstance(layer, Transformation):
+                space = layer.space(space)
+        return space
+
+
+def checked_recipe(recipe: ObservationRecipe) -> ObservationRecipe:
+    """Return a recipe that has been read from a file.
+
+    Raises:
+        ValueError: If its extent is incomplete.
+    """
+    if missing := NEEDED - recipe.extent.keys():
+        raise ValueError(f"extent: lacks {', '.join(sorted(missing))}")
+    return recipe
 
 
 def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of several ecosystems
@@ -112,6 +133,7 @@ def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of seve
         dt=scenario.dt,
         estimate=options.estimate,
         gradient=options.gradient,
+        omit=tuple(options.omit),
         coverage_patch=None if patch is None else (int(patch[0]), float(patch[1])),
         dtype=np.dtype(options.dtype).name,
         layers=tuple(layers),

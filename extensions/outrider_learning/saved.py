@@ -18,20 +18,20 @@ from bus.errors import ScenarioError, shortened
 from bus.files import read_regular, writing
 from bus.messages.vehicle import UavBriefing
 from bus.numbers import exact
-from bus.observations import ROUNDING, UAV, by_name, largest, names
+from bus.observations import ROUNDING, UAV, by_name, largest, names, without
 from bus.policies import policy_forms
 from outrider_learning.learned import check_altitude, check_made_for
 from outrider_learning.recipe import (
-    NEEDED,
     HeldAction,
     ObservationRecipe,
+    checked_recipe,
     make_layer,
     observation_recipe,
 )
 from outrider_learning.transformation import Transformation
 from outrider_learning.ugv_policies import load_sb3_model
 from sim.engine.briefing import uav_briefing
-from sim.env.observation import AgentObservation, Array
+from sim.env.observation import AgentObservation, Array, uav_table
 from sim.scenario.types import Scenario
 
 _MOST_BYTES = 1 << 20
@@ -89,7 +89,11 @@ class SavedPolicy:
         self._model, self._recipe = model, recipe
         self._layers = [make_layer(layer) for layer in recipe.layers]
         space, axes = recipe.space(), 3 if recipe.altitude else 2
-        self._shapes = _shapes(space)
+        whole = uav_table(altitude=recipe.altitude, gradient=recipe.gradient)
+        kept = names(without(whole, recipe.omit))
+        self._columns = [k for k, name in enumerate(names(whole)) if name in kept]
+        # The policy drops the entries itself: it needs the time to recognize the start of an episode.
+        self._shapes = _shapes(msgspec.structs.replace(recipe, omit=()).space())
         for layer in self._layers:
             if isinstance(layer, Transformation):
                 space = layer.space(space)
@@ -103,6 +107,7 @@ class SavedPolicy:
         self.setup: dict[str, Any] = {
             "estimate": recipe.estimate,
             "gradient": recipe.gradient,
+            "omit": (),
             "coverage_patch": recipe.coverage_patch,
             "dtype": np.dtype(recipe.dtype).type,
             "duration": recipe.length,
@@ -184,8 +189,9 @@ class SavedPolicy:
         if self._flown is not None and self._flown != self._recipe.length:
             row = row.copy()
             row[row[:, _AGE] == self._flown, _AGE] = self._recipe.length
-            observation = observation | {"row": row} if isinstance(observation, dict) else row
-        return self._act(0, observation, starting, float(row[:, _TIME].max()))
+        time, row = float(row[:, _TIME].max()), row[:, self._columns]
+        shown = observation | {"row": row} if isinstance(observation, dict) else row
+        return self._act(0, shown, starting, time)
 
     def _act(
         self, depth: int, observation: AgentObservation, starting: Array, time: float
@@ -270,9 +276,9 @@ def load_sb3_policy(rest: str, where: str) -> SavedPolicy:
     model: Model = load_sb3_model(rest, where, policy_forms("uav"))
     beside = recipe_file(rest.partition(":")[2])
     try:
-        recipe = msgspec.json.decode(read_regular(beside, _MOST_BYTES), type=ObservationRecipe)
-        if missing := NEEDED - recipe.extent.keys():
-            raise ValueError(f"extent: lacks {', '.join(sorted(missing))}")
+        recipe = checked_recipe(
+            msgspec.json.decode(read_regular(beside, _MOST_BYTES), type=ObservationRecipe)
+        )
     except FileNotFoundError:
         found = _plain_row(model.observation_space)
         if found is None:

@@ -33,6 +33,13 @@ def _library(module: str, package: str, where: str) -> ModuleType:
         raise ScenarioError(f"{where}: {package} cannot be imported: {_reason(error)}") from error
 
 
+def _one_thread(where: str) -> Any:  # noqa: ANN401 - torch is optional
+    """Import torch and let it use one thread: a policy is small, and more threads slow it down."""
+    torch = _library("torch", "torch", where)
+    torch.set_num_threads(1)
+    return torch
+
+
 def _file(path: str, where: str, forms: str = "") -> str:
     if not Path(path).is_file():
         raise ScenarioError(
@@ -115,6 +122,7 @@ def load_sb3_model(rest: str, where: str, forms: str) -> Any:  # noqa: ANN401 - 
         raise ScenarioError(
             f"{where}: unknown algorithm {algorithm!r}; installed: {', '.join(sorted(known))}"
         )
+    _one_thread(where)
     try:
         return found.load(file, device="cpu")
     except Exception as error:
@@ -146,7 +154,7 @@ class _Torch:
 
 def load_torch(path: str, where: str) -> RowPolicy:
     """Load a TorchScript file, `FILE.pt`; torch is imported only here."""
-    file, torch = _file(path, where), _library("torch", "torch", where)
+    file, torch = _file(path, where), _one_thread(where)
     try:
         module = torch.jit.load(file, map_location="cpu")
         module.eval()

@@ -1,12 +1,13 @@
 """Observation of an agent: its vehicle's row, alone or in a dictionary with a picture."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from bus.observations import ALTITUDE, GRADIENT, UAV, UGV, Row, Table, bounds, names
+from bus.observations import ALTITUDE, GRADIENT, UAV, UGV, Row, Table, bounds, names, without
 from sim.env.patch import check_tile_patch, given_patch
 from sim.env.settings import Settings
 from sim.env.spaces import box, extent_of
@@ -25,9 +26,10 @@ def one_of_world(seen: AgentObservation, k: int) -> AgentObservation:
     return {key: array[k] for key, array in seen.items()} if isinstance(seen, dict) else seen[k]
 
 
-def uav_table(*, altitude: bool, gradient: bool) -> Table:
+def uav_table(*, altitude: bool, gradient: bool, omit: Sequence[str] = ()) -> Table:
     """Return the entries of a UAV's row, in the order of `sim.env.rows.RowState.uav_rows`."""
-    return UAV + (ALTITUDE if altitude else ()) + (GRADIENT if gradient else ())
+    table = UAV + (ALTITUDE if altitude else ()) + (GRADIENT if gradient else ())
+    return without(table, omit)
 
 
 def uav_space(
@@ -36,6 +38,7 @@ def uav_space(
     estimate: bool,
     gradient: bool,
     altitude: bool = False,
+    omit: Sequence[str] = (),
     pixels: int,
     dtype: type[np.floating],
 ) -> spaces.Space[Any]:
@@ -43,11 +46,11 @@ def uav_space(
 
     Args:
         extent: Values of `bus.observations.SYMBOLS`.
-        estimate, gradient, dtype: As in `sim.env.settings.Settings`.
+        estimate, gradient, omit, dtype: As in `sim.env.settings.Settings`.
         altitude: True for a UAV that has an altitude.
         pixels: Pixels per side of the picture of its map; 0: no picture.
     """
-    table = uav_table(altitude=altitude, gradient=gradient)
+    table = uav_table(altitude=altitude, gradient=gradient, omit=omit)
     row = box(*bounds(table, extent | ({"d_max": extent["D"]} if estimate else {})), dtype)
     if not pixels:
         return row
@@ -99,6 +102,7 @@ class ObservationFormat:
         return uav_table(
             altitude=uav.initial_altitude is not None,
             gradient=bool(self._settings[uav.name].gradient),
+            omit=tuple(self._settings[uav.name].omit),
         )
 
     def _space(self, vehicle: Uav | Ugv, extent: dict[str, float]) -> spaces.Space[Any]:
@@ -116,6 +120,7 @@ class ObservationFormat:
             estimate=bool(own.estimate),
             gradient=bool(own.gradient),
             altitude=altitude,
+            omit=tuple(own.omit),
             pixels=pixels,
             dtype=dtype,
         )

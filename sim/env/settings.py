@@ -12,7 +12,7 @@ from sim.engine.run_keys import check_secret
 from sim.env.patch import TILE_PATCH, CoveragePatch, check_tile_patch, given_patch
 from sim.env.reward_function import RewardFunction
 from sim.env.rewards import RewardWeights
-from sim.env.spaces import check_dtype
+from sim.env.spaces import check_dtype, check_omit
 
 BatchPolicy = Callable[[Any], npt.ArrayLike]
 """Function from the observations of one vehicle in all worlds to its accelerations [m/s²], shape (num_envs, 2)."""
@@ -43,8 +43,8 @@ class Settings:
     """Pixels, and metres per pixel, of a picture of the UAV's own map; its observation is then a dictionary with `row`
     and `coverage`. None: no picture.
 
-    This setting, `dtype`, `estimate` and `gradient` may be mappings by vehicle; a missing vehicle has the default. All
-    pictures have the same size.
+    This setting, `dtype`, `estimate`, `gradient` and `omit` may be mappings by vehicle; a missing vehicle has the
+    default. All pictures have the same size.
     """
     tile_patch: int = TILE_PATCH
     """Tiles per side of a UGV's picture of the ground, an odd number; no effect without hazards."""
@@ -58,6 +58,8 @@ class Settings:
     """True: the UAVs' rows hold the Kalman filter's estimate instead of the raw detection."""
     gradient: bool | Mapping[str, bool] = False
     """True: the UAVs' rows include `bus.observations.GRADIENT` at the end."""
+    omit: Sequence[str] | Mapping[str, Sequence[str]] = ()
+    """Parts left out of the UAVs' rows: `time`, `position` (x and y), or both."""
     safety_filter: bool = False
     """True: the UAVs' actions pass the safety filter, as in the law `certified`."""
     others: Mapping[str, str | BatchPolicy] | None = None
@@ -87,6 +89,8 @@ class Settings:
             check_dtype(dtype)
         for patch in _values(self.coverage_patch):
             given_patch(patch)
+        for omit in _values(self.omit):
+            check_omit(omit)
         check_tile_patch(self.tile_patch)
 
     def of_agent(self, name: str) -> "Settings":
@@ -140,6 +144,7 @@ class Settings:
 BY_AGENT: Mapping[str, Any] = {
     "estimate": False,
     "gradient": False,
+    "omit": (),
     "coverage_patch": None,
     "dtype": np.float64,
 }

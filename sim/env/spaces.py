@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from gymnasium import spaces
 
-from bus.observations import ROUNDING, largest
+from bus.observations import OMITTED, ROUNDING, largest
 from sim.engine.briefing import largest_error
 from sim.scenario.types import Scenario, Uav, Ugv, altitude_limits
 
@@ -41,6 +41,19 @@ def check_dtype(dtype: type[np.floating]) -> None:
     """
     if dtype not in {np.float32, np.float64}:
         raise ValueError(f"dtype = {dtype!r}; allowed: np.float32, np.float64")
+
+
+def check_omit(omit: Sequence[str]) -> None:
+    """Check the parts that are left out of the UAVs' rows.
+
+    Raises:
+        TypeError: If they are no tuple or list.
+        ValueError: If a part is unknown or named twice.
+    """
+    if not isinstance(omit, (tuple, list)):
+        raise TypeError(f"omit = {omit!r}; allowed: a tuple of {', '.join(OMITTED)}")
+    if len(set(omit)) < len(omit) or any(part not in OMITTED for part in omit):
+        raise ValueError(f"omit = {omit!r}; allowed: each of {', '.join(OMITTED)} at most once")
 
 
 def box(low: Sequence[float], high: Sequence[float], dtype: type[np.floating]) -> spaces.Box:

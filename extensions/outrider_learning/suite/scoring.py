@@ -36,7 +36,10 @@ class Team(NamedTuple):
 Entry = str | BatchPolicy | Team
 """Controller of the UAVs: a law by name, or a policy for all worlds; in a mission also a team."""
 
-SETTINGS = ("estimate", "gradient", "safety_filter", "coverage_patch", "dtype", "threads")
+SETTINGS = (
+    *("estimate", "gradient", "omit", "safety_filter", "coverage_patch", "dtype"),
+    "threads",
+)
 """Observation and action settings of a policy. Everything else belongs to the task."""
 
 

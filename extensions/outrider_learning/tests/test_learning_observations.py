@@ -215,6 +215,22 @@ def test_heading_starts_east_and_is_kept_at_rest() -> None:
     assert heading(one.begin(row(-0.5, 0.0), ALL)) == [-1.0, 0.0]
 
 
+@pytest.mark.parametrize("omit", [("time",), ("position",), ("time", "position")])
+def test_a_short_row_turns_like_the_whole_one(omit: tuple[str, ...]) -> None:
+    whole = {"estimate": True, "gradient": True, "duration": 10.0}
+    long, short = (
+        Transformed(outrider.vector_env(num_envs=2, **whole, **more), Egocentric())
+        for more in ({}, {"omit": omit})
+    )
+    seen, shown = (env.reset(seed=3)[0] for env in (long, short))
+    gone = [0] * ("time" in omit) + [4, 5] * ("position" in omit)
+    for _ in range(20):
+        np.testing.assert_array_equal(np.delete(seen, gone, axis=1), shown)
+        assert short.observation_space.contains(shown)
+        actions = np.tile((0.2, 0.1), (2, 1))
+        seen, shown = (env.step(actions)[0] for env in (long, short))
+
+
 @pytest.mark.parametrize("gradient", [False, True])
 def test_altitude_and_climb_rate_do_not_turn(gradient: bool) -> None:
     settings = settings_of({"gradient": gradient})

@@ -65,6 +65,10 @@ from types import SimpleNamespace
 import numpy as np
 
 float32, no_grad, as_tensor = np.float32, nullcontext, np.asarray
+threads = [8]
+
+def set_num_threads(count):
+    threads.append(count)
 
 class _Module:
     def __init__(self, weights):
@@ -192,6 +196,12 @@ def test_saved_policy_flies_the_bits_of_the_environment(here: Path, name: str) -
     pace = np.hypot(*flight.recorder.states[:, 1, 2:4].T)
     # the bounds of the world were reached, and nothing else changed the action
     assert pace.max() == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("name", ["sb3:ppo:model.zip", "torch:model.pt"])
+def test_loaded_policy_uses_one_thread_of_torch(here: Path, name: str) -> None:
+    load_policy(name)
+    assert sys.modules["torch"].threads[-1] == 1
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
