@@ -7,7 +7,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from bus.errors import ScenarioError
 from bus.messages.vehicle import UavBriefing
 from bus.numbers import exact
 from bus.observations import UAV
@@ -173,15 +172,3 @@ class LearnedPolicy:
             action = np.clip(self._network(shown), -1.0, 1.0)
             self._held[due] = self._view.action(action)[due]
         return self._held.copy()
-
-
-def load_learned_policy(rest: str, where: str) -> LearnedPolicy:
-    """Load `FILE.npz` for `custom.uav_policy`; `where` names field and value in errors.
-
-    Raises:
-        ScenarioError: If the file is missing or is not such a policy.
-    """
-    try:
-        return LearnedPolicy.load(rest)
-    except ValueError as error:
-        raise ScenarioError(f"{where}: {error}") from error

@@ -2,7 +2,7 @@
 
 from bus.policies import PolicyKind
 
-NPZ = PolicyKind(form="FILE.npz", uav="outrider_learning.learned:load_learned_policy")
+NPZ = PolicyKind(form="FILE.npz", uav="outrider_learning.networks:load_npz_policy")
 ONNX = PolicyKind(form="FILE.onnx", ugv="outrider_learning.ugv_policies:load_onnx")
 SB3 = PolicyKind(
     form="ALGORITHM:FILE.zip",

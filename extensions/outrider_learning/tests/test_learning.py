@@ -20,8 +20,9 @@ from bus.errors import ScenarioError
 from bus.messages.ground import Hazard
 from outrider.envs.env_pilots import pilots
 from outrider.envs.worlds import Worlds
-from outrider_learning.learned import LearnedPolicy, load_learned_policy, make_view
+from outrider_learning.learned import LearnedPolicy, make_view
 from outrider_learning.mlp import Mlp, load_policy, save_policy
+from outrider_learning.networks import load_npz_policy
 from outrider_learning.repeat import ActionRepeat
 from outrider_learning.transformation import Transformed
 from refusals import refused
@@ -283,7 +284,7 @@ def test_any_damaged_file_loads_or_is_refused_in_one_line(tmp_path: Path) -> Non
             damaged[place] ^= 1 << rng.randrange(8)
         file.write_bytes(damaged)
         try:
-            load_learned_policy(str(file), "custom.uav_policy")
+            load_npz_policy(str(file), "custom.uav_policy")
         except ScenarioError as error:
             refusals.append(str(error))
     assert 900 < len(refusals) < 1000

@@ -39,7 +39,8 @@ from outrider.running.flying import fly
 from outrider.running.user_code import check_own_functions
 from outrider_learning.egocentric import Egocentric
 from outrider_learning.learned import LearnedPolicy
-from outrider_learning.mlp import load_policy
+from outrider_learning.mlp import Mlp, load_policy, save_policy
+from outrider_learning.networks import save_network
 from outrider_learning.recipe import observation_recipe
 from outrider_learning.repeat import ActionRepeat
 from outrider_learning.saved import save_sb3_policy
@@ -477,9 +478,33 @@ def test_a_model_of_plain_rows_flies_and_a_stacked_one_does_not(tmp_path):
         outrider.load_policy(name)
 
 
+def test_network_file_acts_like_its_model(tmp_path):
+    model, name = _trained(SAVED["running"], tmp_path, omit=("time", "position"), gradient=True)
+    save_network(model, tmp_path / "model.npz", trained={"seed": 2})
+    alone = load_uav_policy(f"npz:{tmp_path / 'model.npz'}")
+    policy = load_uav_policy(name)
+    assert alone.setup == policy.setup
+    env = outrider.vector_env(SCENARIO, num_envs=2, **alone.setup)
+    seen, _ = env.reset(seed=3)
+    for _ in range(30):
+        action = policy(seen)
+        np.testing.assert_allclose(alone(seen), action, atol=1e-5)
+        seen, *_ = env.step(action)
+    save_policy(
+        tmp_path / "other.npz",
+        Mlp((np.ones((2, 9)),), (np.ones(2),)),
+        load_policy(tmp_path / "model.npz")[1],
+    )
+    with pytest.raises(ScenarioError, match="9 inputs, 2 outputs; the recipe needs 8 inputs"):
+        load_uav_policy(f"npz:{tmp_path / 'other.npz'}")
+
+
 def test_learning_page_trains_and_evaluates(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     page = "docs/how-to/learning.md"
-    for block in blocks("python", page)[:2]:
-        run_shown(block, page)
+    train, evaluate_it = blocks("python", page)[:2]
+    assert "learn(60_000)" in train
+    run_shown(train.replace("60_000", "4096"), page)
+    assert torch.get_num_threads() == 1
+    run_shown(evaluate_it, page)
     assert "sight lost in 0 of 3 episodes" in capsys.readouterr().out
