@@ -117,6 +117,29 @@ def test_every_vehicle_may_learn() -> None:
                 assert equal(first[name], seen[name][k])
                 if first is not last:
                     assert equal(last[name], infos[name]["final_obs"][k])
+            np.testing.assert_array_equal(many.state()[k], env.state())
+
+
+@pytest.mark.parametrize("weight", [0.0, 1.0])
+def test_states_of_many_worlds_are_those_of_single_ones(weight: float) -> None:
+    """Compare also where the batch does not compute e(t) for its rewards."""
+    options: dict[str, Any] = {"duration": 2.0, "autoreset_mode": "NextStep"}
+    rewards = outrider.RewardWeights(uncovered=weight)
+    many = outrider.parallel_vector_env("town", num_envs=2, rewards=rewards, **options)
+    with pytest.raises(ResetNeeded, match=r"state\(\) before reset"):
+        many.state()
+    singles = [outrider.parallel_env("town", duration=2.0) for _ in range(2)]
+    many.reset(seed=4)
+    for k, env in enumerate(singles):
+        env.reset(seed=4 + k)
+        assert (env.state_names, env.state_space) == (many.state_names, many.state_space)
+    for _ in range(40):
+        many.step({"uav_0": np.full((2, 3), 0.1), "ugv_0": np.full((2, 2), 0.02)})
+        states = many.state()
+        for k, env in enumerate(singles):
+            env.step({"uav_0": [0.1, 0.1, 0.1], "ugv_0": [0.02, 0.02]})
+            np.testing.assert_array_equal(states[k], env.state())
+            assert many.state_space.contains(states[k])
 
 
 @pytest.mark.parametrize("scenario", [SCENARIO, LATE_DETECTIONS], ids=["in time", "late"])

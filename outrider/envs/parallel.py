@@ -17,17 +17,14 @@ from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
 from bus.messages.links import LinkStatus
 from bus.messages.vehicle import Briefing, UavCommand, UgvCommand
-from bus.observations import ALTITUDE, STATE, UAV, UGV, bounds, state_names, with_tables
+from bus.observations import ALTITUDE, UAV, UGV, with_tables
 from outrider.envs.worlds import Worlds
 from sim.engine.briefing import briefing
 from sim.engine.run_keys import check_secret
 from sim.env.actions import check_by_agent, take_actions
 from sim.env.observation import AgentObservation, Array, one_of_world
 from sim.env.seeds import Seeds, check_options
-from sim.env.spaces import box, extent_of
-from sim.env.standings import Standings
 from sim.env.view import Rendering
-from sim.models.field import coverage_shares
 from sim.models.ground import TileArray
 from sim.scenario.types import Scenario
 from sim.world import World
@@ -95,11 +92,10 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         loop = self.worlds.loop
         self.possible_agents: list[str] = list(loop.names)
         self.agents: list[str] = []
-        self._standings = Standings(self.scenario, loop.tables.rows, loop.state.rows, 0)
         self.action_spaces = self.worlds.action_spaces
         self.observation_spaces = self.worlds.observation_spaces
-        self.state_space = self._state_space()
-        self.state_names = state_names(self._standings.state_rows.items())
+        self.state_space = self.worlds.true_state.space
+        self.state_names = self.worlds.true_state.names
         """Names of the entries of `state()`."""
         self.degraded = loop.degraded
         """True if any link is imperfect."""
@@ -259,23 +255,9 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         The entries are time, coverage, then each vehicle in name order; `state_names` names them. In wind, a UAV's
         position and velocity are its reference state; its distance and coverage error refer to its true position.
         """
-        world = self.world
-        covered, seen = coverage_shares(world.coverage, world.parameters.desired)
-        values = [world.time, covered, seen]
-        for name in self.possible_agents:
-            values += self._standings.state(name)
-        space = self.state_space
-        return np.clip(np.array(values, dtype=self.worlds.state_dtype), space.low, space.high)
-
-    def _state_space(self) -> spaces.Box:
-        """Return the space of `state`."""
-        vehicles = self.scenario.vehicles
-        low, high = bounds(STATE, extent_of(self.scenario, vehicles[0]))
-        for vehicle in vehicles:
-            row = self._standings.state_rows[vehicle.name]
-            least, largest = bounds(row, extent_of(self.scenario, vehicle))
-            low, high = low + least, high + largest
-        return box(low, high, self.worlds.state_dtype)
+        _ = self.world  # raises before the first reset
+        states: Array = self.worlds.state()
+        return states[0]
 
     def metrics(self) -> dict[str, dict[str, Any]]:
         """Return each vehicle's true metrics and the terms of its last reward: for people and logs, not for policies.

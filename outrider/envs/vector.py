@@ -20,7 +20,7 @@ from gymnasium.vector.utils import batch_space
 from outrider.envs.autoreset import AutoresetWorlds, BatchStep
 from outrider.envs.worlds import PICTURES
 from sim.compiling.compile import FloatArray
-from sim.env.observation import AgentObservation
+from sim.env.observation import AgentObservation, Array
 from sim.scenario.types import Scenario
 
 
@@ -173,6 +173,10 @@ class OutriderParallelVectorEnv:
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self.num_envs = self.worlds.num_envs
         self.render_mode = render_mode
+        self.state_space = self.worlds.true_state.space
+        """Space of the state of one world."""
+        self.state_names = self.worlds.true_state.names
+        """Names of the entries of `state()`."""
         self.possible_agents = self.worlds.learners
         self.agents = list(self.possible_agents)
 
@@ -218,6 +222,10 @@ class OutriderParallelVectorEnv:
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
         """Return each vehicle's true metrics, as in `Worlds.metrics`: for people and logs, not for policies."""
         return self.worlds.metrics()
+
+    def state(self) -> Array:
+        """Return the complete true states, as in `Worlds.state`; after a reset, of the new episode's start."""
+        return self.worlds.state()
 
     def close(self) -> None:
         """Stop the threads."""

@@ -20,11 +20,12 @@ from bus.observations import as_rows
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.pilot_numbers import pilot_names
 from outrider.envs.policies import named_policies, observed_by
+from outrider.envs.true_state import TrueState
 from outrider.running.metrics import MISSION, numbers
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
 from sim.env.actions import check_by_agent, take_batch
-from sim.env.observation import AgentObservation, ObservationFormat
+from sim.env.observation import AgentObservation, Array, ObservationFormat
 from sim.env.reward_function import rewards_by
 from sim.env.seeds import Seeds, check_options
 from sim.env.settings import settings_of
@@ -119,6 +120,8 @@ class Worlds:
         self.action_lengths = {name: one.shape[0] for name, one in self.action_spaces.items()}
         """Number of entries of an action, by vehicle."""
         self.observation_spaces = self._format.spaces
+        self.true_state = TrueState(self.scenario, self.loop, self.state_dtype)
+        """State of all worlds, with its space and the names of its entries."""
         self._seeds = [Seeds() for _ in range(self.num_envs)]
         self._actions: FloatArray = np.zeros((self.num_envs, len(self._external), 3))
         self._paid: FloatArray = np.zeros((self.num_envs, len(names)))
@@ -145,6 +148,19 @@ class Worlds:
                 raise ValueError(f"others: {name!r}: {pilot!r}: neither a name nor a policy")
             if hasattr(pilot, "check"):  # policies of outrider_learning check the scenario
                 pilot.check(self.scenario)
+
+    def state(self) -> Array:
+        """Return the complete true states of all worlds, for centralized critics. Shape (num_envs, entries).
+
+        The entries are time, coverage, then each vehicle in name order; `true_state.names` names them. In wind, a
+        UAV's position and velocity are its reference state; its distance and coverage error refer to its true position.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+        """
+        if not self.has_episode:
+            raise ResetNeeded("state() before reset()")
+        return self.true_state()
 
     def world(self, number: int) -> World:
         """Return the true state of one world, a live view."""
