@@ -12,6 +12,7 @@ from torchrl.envs.utils import check_env_specs
 
 import outrider
 from outrider_learning.stacking import Stack
+from outrider_learning.torchrl_env import OutriderTorchEnv
 from outrider_learning.transformation import Transformed
 from sim.scenario.loading import load_scenario
 
@@ -186,6 +187,63 @@ def test_torchrl_flies_into_the_third_episode(scenario, options):
         assert torch.equal(torch.isfinite(times), frames["next", "truncated"].flatten())
 
 
+@pytest.mark.parametrize(
+    ("scenario", "options"),
+    [
+        ("escort", {"repeat": 3}),
+        ("escort", {"coverage_patch": (8, 1.0), "agents": ["uav_0"], "safety_filter": True}),
+        ("town", {"dtype": np.float64}),
+        ("minefield", {"gradient": True, "omit": ("time",)}),
+    ],
+)
+def test_torchrls_own_check_of_many_worlds_passes(scenario, options):
+    env = OutriderTorchEnv(scenario, num_envs=3, duration=1.5, seed=2, **options)
+    assert env.batch_size == (3,)
+    check_env_specs(env)
+    frames = env.rollout(70, break_when_any_done=False)
+    assert int(frames["next", "truncated"].sum()) >= 3
+    env.close()
+
+
+def test_worlds_of_a_batch_end_and_restart_one_by_one():
+    """Compare with single environments that restart where they end, the last state and observation included."""
+    env = OutriderTorchEnv("escort", num_envs=3, duration=20.0, dtype=np.float64)
+    singles = [outrider.parallel_env("escort", duration=20.0) for _ in range(3)]
+    env.set_seed(7)
+    frame, starts = env.reset(), [one.reset(seed=7 + k)[0] for k, one in enumerate(singles)]
+    ends = []
+    for tick in range(430):
+        for k, one in enumerate(singles):
+            np.testing.assert_array_equal(frame["state"][k].numpy(), one.state())
+            np.testing.assert_array_equal(frame["uav", "observation"][k, 0], starts[k]["uav_0"])
+        push = torch.tensor([[0.0, 0.0], [0.2, 0.1], [0.3, -0.2]])
+        frame["uav", "action"] = push[:, None]
+        frame["ugv", "action"] = torch.zeros(3, 1, 2)
+        step, frame = env.step_and_maybe_reset(frame)
+        for k, one in enumerate(singles):
+            actions = {"uav_0": push[k].double().numpy(), "ugv_0": [0.0, 0.0]}
+            last, rewards, terminations, truncations, _ = one.step(actions)
+            after = step["next"][k]
+            np.testing.assert_array_equal(after["state"].numpy(), one.state())
+            np.testing.assert_array_equal(after["uav", "observation"][0], last["uav_0"])
+            assert after["uav", "reward"].item() == np.float32(rewards["uav_0"])
+            assert after["terminated"].item() == terminations["uav_0"]
+            assert after["ugv", "truncated"].item() == truncations["ugv_0"]
+            starts[k] = last
+            if not one.agents:
+                ends.append((k, tick))
+                starts[k] = one.reset()[0]
+    assert {k for k, _ in ends} == {0, 1, 2}
+    assert len({tick for _, tick in ends}) > 2
+
+
+def test_batched_groups_are_checked():
+    with pytest.raises(ValueError, match="each of uav_0, ugv_0 in one group"):
+        OutriderTorchEnv("escort", num_envs=1, group_map={"uav": ["uav_0"]})
+    with pytest.raises(ValueError, match="spaces of different shapes"):
+        OutriderTorchEnv("escort", num_envs=1, group_map={"all": ["uav_0", "ugv_0"]})
+
+
 def test_the_example_learns_saves_and_evaluates(tmp_path):
     done = run_example(EXAMPLE, "--steps 2000 --duration 5 --out out", tmp_path)
     assert "Warning" not in done.stderr
@@ -193,4 +251,12 @@ def test_the_example_learns_saves_and_evaluates(tmp_path):
     returns = json.loads((tmp_path / "out" / "evaluation.json").read_text())["returns"]
     assert returns.keys() == {"learned", "pilots"}
     assert all(np.isfinite(mean) for means in returns.values() for mean in means.values())
+    assert torch.load(tmp_path / "out" / "policies.pt", weights_only=True).keys() == {"uav", "ugv"}
+
+
+def test_mappo_in_many_worlds_learns_and_is_scored(tmp_path):
+    options = "--steps 1 --duration 5 --seeds 1 --out out"
+    done = run_example(EXAMPLES / "train_torchrl_worlds.py", options, tmp_path)
+    assert "1920 steps" in done.stdout
+    assert "sight lost in 0 of 1 episodes" in done.stdout
     assert torch.load(tmp_path / "out" / "policies.pt", weights_only=True).keys() == {"uav", "ugv"}
