@@ -481,8 +481,8 @@ def test_a_model_of_plain_rows_flies_and_a_stacked_one_does_not(tmp_path):
 def test_network_file_acts_like_its_model(tmp_path):
     model, name = _trained(SAVED["running"], tmp_path, omit=("time", "position"), gradient=True)
     save_network(model, tmp_path / "model.npz", trained={"seed": 2})
-    alone = load_uav_policy(f"npz:{tmp_path / 'model.npz'}")
-    policy = load_uav_policy(name)
+    alone = outrider.load_policy(f"npz:{tmp_path / 'model.npz'}")
+    policy = outrider.load_policy(name)
     assert alone.setup == policy.setup
     env = outrider.vector_env(SCENARIO, num_envs=2, **alone.setup)
     seen, _ = env.reset(seed=3)
@@ -496,7 +496,7 @@ def test_network_file_acts_like_its_model(tmp_path):
         load_policy(tmp_path / "model.npz")[1],
     )
     with pytest.raises(ScenarioError, match="9 inputs, 2 outputs; the recipe needs 8 inputs"):
-        load_uav_policy(f"npz:{tmp_path / 'other.npz'}")
+        outrider.load_policy(f"npz:{tmp_path / 'other.npz'}")
 
 
 def test_learning_page_trains_and_evaluates(tmp_path, monkeypatch, capsys):
