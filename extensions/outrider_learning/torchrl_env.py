@@ -12,7 +12,7 @@ from torchrl.envs import EnvBase
 
 import outrider
 from outrider_learning.bounds import MOST_TICKS, whole
-from sim.env.observation import AgentObservation, Array
+from sim.env.observation import Array
 from sim.scenario.types import Scenario
 
 _ENDS = ("done", "terminated", "truncated")
@@ -212,12 +212,12 @@ def _observed(seen: Sequence[Any], shape: tuple[int, int]) -> Bounded | Composit
     )
 
 
-def _tensors(seen: Sequence[AgentObservation]) -> Any:  # noqa: ANN401 - a tensor, or one for each key
+def _tensors(seen: Sequence[Any]) -> Any:  # noqa: ANN401 - a tensor, or one for each key
     """Return the observations of a group's agents. Shape (worlds, agents, ...)."""
     first = seen[0]
     if not isinstance(first, dict):
         return torch.from_numpy(np.stack(seen, axis=1))
-    stacked = {key: np.stack([one[key] for one in seen], axis=1) for key in first}  # type: ignore[index,call-overload]
+    stacked = {key: np.stack([one[key] for one in seen], axis=1) for key in first}
     shape = torch.Size(next(iter(stacked.values())).shape[:2])
     return TensorDict(
         {key: torch.from_numpy(array) for key, array in stacked.items()}, batch_size=shape

@@ -256,8 +256,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         position and velocity are its reference state; its distance and coverage error refer to its true position.
         """
         _ = self.world  # raises before the first reset
-        states: Array = self.worlds.state()
-        return states[0]
+        state: Array = self.worlds.state()[0]
+        return state
 
     def metrics(self) -> dict[str, dict[str, Any]]:
         """Return each vehicle's true metrics and the terms of its last reward: for people and logs, not for policies.

@@ -55,7 +55,7 @@ class TrueState:
         desired = float(self._scenario.coverage.desired)
         batch, rows = loop.state.batch, loop.state.rows
         shares = [coverage_shares(coverage, desired) for coverage in batch.coverage]
-        time = batch.ticks * self._scenario.dt
+        time: FloatArray = (batch.ticks * self._scenario.dt).astype(np.float64)
         parts = [np.column_stack((time, np.array(shares)))]
         for number, name in enumerate(loop.names):
             if name in loop.uavs:
