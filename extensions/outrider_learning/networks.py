@@ -119,10 +119,10 @@ def load_npz_policy(rest: str, where: str) -> SavedPolicy | LearnedPolicy:
     """
     try:
         network, recipe = load_policy(rest)
-        if OBSERVATION not in recipe:
-            return LearnedPolicy.load(rest)
         try:
-            return network_policy(network, recipe)
+            if OBSERVATION in recipe:
+                return network_policy(network, recipe)
+            return LearnedPolicy(network, recipe)
         except (ValueError, msgspec.ValidationError) as error:
             raise ValueError(f"policy {rest!r}: {error}") from error
     except ValueError as error:
