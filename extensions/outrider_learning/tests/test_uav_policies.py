@@ -404,6 +404,19 @@ def test_many_worlds_do_not_fly_the_law_instead_of_the_policy(law: str) -> None:
 # -- the suite
 
 
+def test_a_policy_sees_its_own_row_where_others_are_short() -> None:
+    positions = []
+    for omit in ((), ("time", "position")):
+        given = {"others": {"uav_0": LearnedPolicy.load(SHIPPED)}, "omit": omit}
+        env = outrider.vector_env(ESCORT, num_envs=2, agent="ugv_0", **given)
+        env.reset(seed=5)
+        for _ in range(40):
+            env.step(np.zeros((2, 2)))
+        positions.append(env.worlds.loop.state.batch.vehicles["position"].copy())
+    np.testing.assert_array_equal(*positions)
+    assert (positions[0][:, 0] != ESCORT.uav[0].position).any()
+
+
 def test_the_suite_flies_a_policy_with_its_own_observation() -> None:
     (task,) = (one for one in TASKS if one.name == "paper")
     policy = outrider.load_policy(NAME)
