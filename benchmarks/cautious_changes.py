@@ -7,8 +7,9 @@ drivers: 10,000 flights in which an operator and other drivers control the UGV i
 mapped: 10,000 flights with a map of buildings among hazards that the UAV misses, so that the UGV stops in blocked
     tiles, or starts in one; in half of them the drivers change, too.
 
-Each flight runs the UGV's pilot; ground, receiver and counters are independent of the simulator. An hour each; the
-page shows 2,500 and 1,500 flights.
+Each flight runs the UGV's pilot; ground, receiver and counters are independent of the simulator. A quarter of an hour
+each. A UGV may end without moving: it knows no drivable way to its next goal, or has reached it, or the link is slower
+than declared for the rest of the flight.
 """
 
 import dataclasses
