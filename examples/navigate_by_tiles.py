@@ -1,7 +1,7 @@
 """Navigation policy that drives where the known tiles leave room.
 
 python examples/navigate_by_tiles.py      its row in the missions' table, beside the driver `navigate`
-outrider run minefield --driver policy --set custom.policy=navigate_by_tiles:policy      in this folder
+outrider run minefield --driver policy:navigate_by_tiles:policy      in this folder
 """
 
 import gymnasium

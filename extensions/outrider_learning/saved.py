@@ -1,7 +1,7 @@
 """UAV policy saved by a learning library, with its training observation.
 
 A JSON file beside the policy's own describes the observation: settings of the environment, and the transformations from
-the inside out. `save_sb3_policy` writes both; `custom.uav_policy=sb3:ppo:model.zip` runs them.
+the inside out. `save_sb3_policy` writes both; `--uav-policy sb3:ppo:model.zip` flies them.
 """
 
 import copy
