@@ -1,7 +1,10 @@
 """Rewards of the environment, and the end of an episode."""
 
 import dataclasses
+import importlib
 import math
+import re
+import sys
 
 import numpy as np
 import pytest
@@ -9,7 +12,7 @@ import pytest
 import outrider
 from flights import escort, pairs
 from outrider.envs.parallel import parallel_env
-from pages import PAGES, blocks, run_shown
+from pages import PAGES, ROOT, blocks, run_shown
 from sim.env.rewards import RewardWeights, full_error
 from sim.scenario.types import Uav, Ugv
 
@@ -252,3 +255,15 @@ def test_the_example_on_the_page_about_rewards_runs(capsys) -> None:
     (block,) = blocks("python", "docs/how-to/rewards.md")
     run_shown(block, "docs/how-to/rewards.md")
     assert capsys.readouterr().out.startswith("[0.")
+
+
+def test_the_example_of_self_play_improves_both(monkeypatch, capsys) -> None:
+    monkeypatch.syspath_prepend(ROOT / "examples")
+    options = "--rounds 1 --generations 4 --duration 20"
+    monkeypatch.setattr(sys, "argv", ["self_play.py", *options.split()])
+    importlib.import_module("self_play").main()
+    head, *rows = capsys.readouterr().out.partition("UAV's return")[2].splitlines()[1:]
+    assert head.split() == ["UGV", "0", "UGV", "1"]
+    paid = [[float(cell) for cell in re.findall(r"(-?[\d.]+) \(", row)] for row in rows]
+    assert paid[1][0] > paid[0][0]  # the UAV has learned
+    assert paid[1][1] < paid[1][0]  # then the UGV
