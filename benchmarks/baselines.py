@@ -25,7 +25,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecNormalize
 
 import outrider
-from outrider.style import INK, MUTED, UAV, UGV, look, new_figure, save
+from outrider.style import INK, MUTED, UAV, look, new_figure, save
 from outrider_learning.egocentric import Egocentric
 from outrider_learning.networks import load_npz_policy, save_network
 from outrider_learning.repeat import ActionRepeat
@@ -229,7 +229,7 @@ def draw(out: Path) -> None:
                 score, _ = law_score(baseline, law, out)
                 panel.axhline(score, color=MUTED, linestyle=dashes, linewidth=1.3)
                 panel.annotate(law, (0.0, score), color=MUTED, va=side, fontsize=9)
-            for filtered, tint in ((True, UAV[0]), (False, UGV[0])):
+            for filtered, tint in ((True, UAV[0]), (False, INK)):
                 for k, run in enumerate(found.get((baseline.scenario, filtered), [])):
                     times, scores = zip(*[point[1:] for point in run["curve"]], strict=True)
                     name = ("safety filter" if filtered else "no filter") if k == 0 else None
@@ -238,7 +238,7 @@ def draw(out: Path) -> None:
             panel.set_xlabel("processor time of training [s]")
             panel.set_ylim(0.0, 100.0)
         axes[0].set_ylabel("validation score")
-        axes[0].legend(loc="center right")
+        axes[1].legend(loc="lower right")
         save(figure, PICTURE)
 
 

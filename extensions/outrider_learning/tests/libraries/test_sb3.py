@@ -3,10 +3,12 @@
 Run by `make learn-test`.
 """
 
+import importlib
 import json
 import runpy
 import sys
 import warnings
+from pathlib import Path
 from typing import ClassVar
 
 import gymnasium
@@ -126,6 +128,9 @@ def test_ended_episode_has_final_infos_and_the_next_its_own():
         assert infos[k]["certified_distance"] == raw_infos["final_info"]["certified_distance"][k]
         assert adapter.reset_infos[k]["certified_distance"] == raw_infos["certified_distance"][k]
         assert infos[k]["certified_distance"] != adapter.reset_infos[k]["certified_distance"]
+
+
+ROOT = Path(__file__).resolve().parents[4]
 
 
 class _Scripted(VectorEnv):
@@ -508,3 +513,20 @@ def test_learning_page_trains_and_evaluates(tmp_path, monkeypatch, capsys):
     assert torch.get_num_threads() == 1
     run_shown(evaluate_it, page)
     assert "sight lost in 0 of 3 episodes" in capsys.readouterr().out
+
+
+def test_the_published_curves_of_baselines_have_the_words_of_the_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for folder in (ROOT / "benchmarks", ROOT / "tests"):
+        monkeypatch.syspath_prepend(folder)
+    baselines, pages = map(importlib.import_module, ("baselines", "pages"))
+    monkeypatch.setattr(baselines, "PICTURE", tmp_path / "drawn.png")
+    for one in baselines.BASELINES:
+        for law in baselines.LAWS:
+            (tmp_path / f"{one.scenario}-{law}.json").write_text("[50.0, 0]")
+    for _, _, _, file in baselines.jobs(tmp_path):
+        file.write_text('{"curve": [[0, 0.0, 10.0], [1, 1.0, 20.0]]}')
+    baselines.draw(tmp_path)
+    published = ROOT / "extensions" / "outrider_learning" / "baselines.png"
+    assert pages.words(published) == pages.words(tmp_path / "drawn.png")
