@@ -21,7 +21,7 @@ from sim.engine.batch import Batch
 from sim.engine.ground_state import CONSTANTS, GroundState
 from sim.engine.mission import keeps_clearance, mission_of, receive_block, record_claim
 from sim.engine.run_keys import check_seed
-from sim.engine.world_state import BatchState, BatchTables
+from sim.engine.world_state import BatchState, BatchTables, world_parameters
 from sim.engine.world_tick import measure
 from sim.models.ground import (
     CERTIFIED,
@@ -56,23 +56,25 @@ class World:
         carried = (LinkKind.OPERATOR, LinkKind.RADIO)
         batch = Batch(scenario, 1, threads=1, secret=secret, others=carried)
         batch.begin((seed,))
-        self._show(batch, 0, check_seed(seed))
+        self._show(batch, 0, check_seed(seed), scenario)
 
     @classmethod
-    def of_batch(cls, batch: Batch, number: int, seed: int) -> Self:
+    def of_batch(
+        cls, batch: Batch, number: int, seed: int, scenario: Scenario | None = None
+    ) -> Self:
         """Return a view of one world of a batch; the batch's owner advances it.
 
         Args:
             batch: The batch.
             number: Index of the world.
             seed: Seed of the world's random numbers.
+            scenario: Scenario of the world; None: the batch's.
         """
         world = cls.__new__(cls)
-        world._show(batch, number, seed)
+        world._show(batch, number, seed, scenario or batch.scenario)
         return world
 
-    def _show(self, batch: Batch, number: int, seed: int) -> None:
-        scenario = batch.scenario
+    def _show(self, batch: Batch, number: int, seed: int, scenario: Scenario) -> None:
         self.scenario, self.seed = scenario, seed
         self._batch, self._number = batch, number
         self.names: tuple[str, ...] = tuple(vehicle.name for vehicle in scenario.vehicles)
@@ -80,7 +82,7 @@ class World:
         self.uavs: tuple[Uav, ...] = tuple(
             vehicle for vehicle in scenario.vehicles if isinstance(vehicle, Uav)
         )
-        self.parameters = self._batch.parameters
+        self.parameters = world_parameters(scenario, gains=batch.parameters.gains)
 
     @property
     def tick(self) -> int:

@@ -21,7 +21,7 @@ from outrider.running.flying import fly, make_pilots
 from sim.engine.batch import arrays_of
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
-from sim.scenario.loading import load_scenario
+from sim.scenario.loading import given_scenario, load_scenario
 from sim.scenario.types import Certificate, Detections, LinkTable, Scenario, Uav, Wind
 from sim.server.flight import Flight
 from worlds import FLOWN, POOR, SCENARIOS, raw, small
@@ -61,6 +61,71 @@ def _blackouts(**others: LinkSettings) -> LinkTable:
 def test_world_k_flies_as_the_single_flight_of_its_seed(name: str) -> None:
     """Without estimator, whose rounding differs, a whole run has the same bits."""
     _compare(raw(SCENARIOS[name]), _same)
+
+
+LIMITS = {
+    "uav.*.max_speed": [0.45, 0.9],
+    "uav.*.max_acceleration": [0.3, 0.5],
+    "ugv.*.max_speed": [0.1, 0.2],
+}
+LATE_LINKS = {"links.detections.delay": [0.0, 0.3], "links.commands.delay": [0.0, 0.2]}
+RANDOM: dict[str, tuple[Scenario, dict[str, list[float]]]] = {
+    "links": (
+        small("logarithmic", "evade", links=POOR, duration=15.0),
+        {
+            **LIMITS,
+            **LATE_LINKS,
+            "detections.noise": [0.05, 0.2],
+            "detections.dropout": [0.0, 0.3],
+            "links.radio.loss": [0.0, 0.5],
+            "links.commands.duplicates": [0.1, 0.5],
+        },
+    ),
+    "filter": (
+        small("certified", "wander", wind=Wind(gust=0.01), duration=15.0),
+        {
+            **LIMITS,
+            **LATE_LINKS,
+            "wind.gust": [0.01, 0.03],
+            "certificate.max_measurement_age": [1.0, 2.0],
+            "certificate.margin": [0.0, 0.1],
+        },
+    ),
+    "hazards": (
+        given_scenario("minefield", 20.0),
+        {**LIMITS, "links.commands.delay": [0.0, 0.2], "detections.noise": [0.02, 0.1]},
+    ),
+    "altitude": (
+        given_scenario("town", 5.0),
+        {"ugv.*.max_speed": [0.1, 0.2], "detections.noise": [0.02, 0.1]},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", RANDOM)
+def test_random_worlds_fly_like_their_drawn_scenarios(name: str) -> None:
+    scenario, ranges = RANDOM[name]
+    loop = _flown(scenario, [5, 6, 4], randomize=ranges)
+    loop.begin([9, 3, 4])
+    loop.fly()
+    drawn = np.stack(list(loop.drawn().values()))
+    assert all(
+        (low <= row).all() and (row <= high).all()
+        for row, (low, high) in zip(drawn, ranges.values(), strict=True)
+    )
+    for k, seed in enumerate((9, 3, 4)):
+        alone = _flown(loop.scenario_of(k), [seed])
+        assert _same(loop.state.batch.vehicles[k], alone.state.batch.vehicles[0])
+        assert _same(loop.state.rows.standings[k], alone.state.rows.standings[0])
+        assert _same(loop.state.certificates[k], alone.state.certificates[0])
+
+
+def test_no_random_world_breaks_a_certificate() -> None:
+    scenario, ranges = RANDOM["filter"]
+    found = _flown(scenario, list(range(50)), randomize=ranges).metrics("uav_0")
+    assert found["certified"].mean() > 0.5
+    assert not found["certified_while_lost"].any()
+    assert not found["certificate_broken"].any()
 
 
 @pytest.mark.parametrize("name", ["escort", *FLOWN])

@@ -273,6 +273,7 @@ def test_same_seed_same_bits_for_more_than_a_thousand_ticks(scenario, options):
         pytest.param(msgspec.structs.replace(ONE, links=POOR), {}, id="links"),
         pytest.param(ONE, {"safety_filter": True}, id="filter"),
         pytest.param(load_scenario("minefield"), {"safety_filter": True}, id="ground"),
+        pytest.param(ONE, {"randomize": {"uav.*.max_speed": [0.5, 0.9]}}, id="random"),
     ],
 )
 def test_infos_are_numbers_under_the_same_keys(scenario, options):

@@ -31,6 +31,7 @@ from outrider_learning.suite.scoring import evaluate
 from outrider_learning.suite.tasks import suite
 from refusals import refused
 from sim.scenario.loading import load_scenario
+from sim.scenario.types import Certificate
 from sim.server.flight import Flight
 from sim.world import World
 from worlds import FREE, SCENARIO, equal, random_actions
@@ -281,3 +282,70 @@ def test_gymnasiums_wrappers_can_be_put_around_each_other(scenario, options) -> 
         assert equal(seen[0], last)
     normalized.reset(seed=1)
     assert np.isfinite(normalized.step(np.full(2, 0.2))[0]).all()
+
+
+RANGES = {
+    "uav.*.max_speed": [0.5, 0.9],
+    "ugv.0.max_speed": [0.1, 0.2],
+    "detections.noise": [0.05, 0.2],
+    "detections.dropout": [0.0, 0.2],
+}
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_random_fields_follow_from_the_seed(name: str) -> None:
+    env = MAKERS[name](SCENARIO, randomize=RANGES)
+
+    def flight(seed: int) -> list[Any]:
+        return [env.reset(seed=seed), *(step(env) for _ in range(10))]
+
+    first, other, again = flight(4), flight(5), flight(4)
+    assert equal(tuple(first), tuple(again))
+    assert not equal(first[0], other[0])
+
+
+def test_info_holds_the_fields_that_a_vehicle_may_know() -> None:
+    env = parallel_env(SCENARIO, randomize=RANGES, safety_filter=True)
+    drawn = list[tuple[float, ...]]()
+    for seed in range(8):
+        _, infos = env.reset(seed=seed)
+        briefing, truth = env.briefing("uav_0"), env.metrics()["uav_0"]
+        assert infos["uav_0"]["uav.*.max_speed"] == briefing.limits.max_speed
+        assert infos["uav_0"]["ugv.0.max_speed"] == briefing.target_limits.max_speed
+        assert infos["uav_0"]["detections.noise"] == briefing.detector.noise
+        assert infos["ugv_0"].keys() & RANGES.keys() == {"ugv.0.max_speed"}
+        assert "detections.dropout" not in infos["uav_0"]
+        assert all(low <= truth[key] <= high for key, (low, high) in RANGES.items())
+        drawn.append(tuple(truth[key] for key in RANGES))
+    assert len(set(drawn)) == 8
+
+
+_EVER = "uav.*.max_speed"
+BAD_RANGES: list[tuple[type[Exception], Any, str]] = [
+    (TypeError, [0.4, 0.8], "randomize = .*; allowed: ranges by field"),
+    (ValueError, {"uav.*.max_spede": [0.4, 0.8]}, "unknown field, did you mean 'uav.*.max_speed'"),
+    (ValueError, {"area.width": [20.0, 30.0]}, "area.width: cannot differ .*; allowed: uav"),
+    (ValueError, {"uav.uav_7.max_speed": [0.4, 0.8]}, "no such vehicle; allowed: .*uav_0"),
+    (ValueError, {_EVER: [0.8, 0.4]}, "reversed; allowed: the smaller number first"),
+    (ValueError, {_EVER: [0.4, math.inf]}, "not finite; allowed: two finite numbers"),
+    (ValueError, {_EVER: [0.4]}, "not a range; allowed: two numbers"),
+    (ValueError, {_EVER: 0.4}, "not a range; allowed: two numbers"),
+    (ValueError, {_EVER: [0.4, 0.8], "uav.0.max_speed": [0.4, 0.8]}, "one range per field"),
+    (ScenarioError, {_EVER: [0.1, 0.8]}, "uav.0.max_speed = 0.1: not above the UGV ugv_0; allowed"),
+    (ScenarioError, {"detections.noise": [-0.1, 0.1]}, "detections.noise = -0.1: out of bounds"),
+]
+
+
+@pytest.mark.parametrize(("kind", "ranges", "words"), BAD_RANGES, ids=str)
+def test_a_bad_range_is_refused_in_one_line(kind: type[Exception], ranges: Any, words: str) -> None:
+    for name in ("single", "parallel vector"):
+        with refused(kind, words):
+            MAKERS[name](SCENARIO, randomize=ranges)
+
+
+def test_ranges_that_break_an_assumption_are_refused() -> None:
+    declared = msgspec.structs.replace(SCENARIO, certificate=Certificate(max_measurement_error=0.6))
+    ranges = {"detections.noise": [0.1, 0.3]}
+    with refused(ScenarioError, "noise = 0.3 m: .*max_measurement_error = 0.6 m .A1.; try --set"):
+        parallel_env(declared, randomize=ranges, safety_filter=True)
+    parallel_env(msgspec.structs.replace(SCENARIO), randomize=ranges, safety_filter=True)

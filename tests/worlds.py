@@ -173,6 +173,11 @@ CASES: dict[str, tuple[Scenario, str, dict[str, Any]]] = {
     "weights": (SCENARIO, "uav_0", {"rewards": SEEN}),
     "patch": (SCENARIO, "uav_0", {"coverage_patch": (7, 0.6)}),
     "late": (LATE_DETECTIONS, "uav_0", {}),
+    "random": (
+        SCENARIO,
+        "uav_0",
+        {"randomize": {"uav.*.max_speed": [0.5, 0.9], "detections.noise": [0.05, 0.2]}},
+    ),
     "evade": (raw(SCENARIOS["evade"]), "uav_0", {}),
     "evade over a network": (raw(SCENARIOS["network"]), "uav_0", {"duration": 10.0}),
     "no end": (SCENARIO, "uav_0", {"end_on_sight_lost": False, "duration": 3.0}),

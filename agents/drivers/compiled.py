@@ -12,6 +12,7 @@ from agents.drivers.parameters import DriverInputs, UgvParameters, ugv_parameter
 from agents.drivers.pending_stops import PLAIN
 from agents.drivers.planning import path_corners
 from agents.drivers.tile_map import (
+    EXTRA_ROWS,
     OccupancyGrid,
     PlaceArray,
     forget_plan,
@@ -81,6 +82,12 @@ def briefed_route(briefing: UgvBriefing) -> Route:
     )
 
 
+def pending_rows(briefing: UgvBriefing) -> int:
+    """Return the number of pending commands in the occupancy grid of a UGV: the command delay in ticks, plus 2."""
+    ground = briefing.ground
+    return EXTRA_ROWS + (0 if ground is None else first_tick_from(ground.delay, briefing.dt))
+
+
 def briefed_grid(briefing: UgvBriefing) -> OccupancyGrid:
     """Return the initial occupancy grid of a UGV, with the known buildings; without tiles if there are no hazards.
 
@@ -99,7 +106,7 @@ def briefed_grid(briefing: UgvBriefing) -> OccupancyGrid:
     kept = ground.tile_clearance
     memory = occupancy_grid(
         *shape,
-        first_tick_from(ground.delay, briefing.dt),
+        pending_rows(briefing) - EXTRA_ROWS,
         clearance=(kept + TOUCH) / ground.tile if kept > 0.0 else -1.0,
     )
     map_buildings(memory, briefing)

@@ -14,7 +14,7 @@ from bus.messages.vehicle import UgvBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS, module_of, usable
 from sim.compiling.compile import IntArray, compiled
 from sim.compiling.dispatch import commands
-from sim.compiling.records import RecordArray, fill, fresh_nested, nested_type, records
+from sim.compiling.records import RecordArray, fill, fresh_nested, nested_type, records, row_of
 from sim.models.vehicles import Motion
 
 _MODULES = usable(
@@ -33,9 +33,9 @@ class DriverTables(NamedTuple):
     codes: IntArray
     """A value of `CODES`. Shape (UGVs,)."""
     ugvs: RecordArray
-    """`UgvParameters`. Shape (UGVs,)."""
+    """`UgvParameters`. Shape (1, UGVs), or (worlds, UGVs) if worlds differ."""
     parameters: RecordArray
-    """`Parameters` of each driver that the batch contains, nested by name. Shape (UGVs,).
+    """`Parameters` of each driver that the batch contains, nested by name. Shape as `ugvs`.
 
     A batch without ground contains no driver that needs it.
     """
@@ -66,7 +66,7 @@ def driver_tables(briefings: Sequence[UgvBriefing], drivers: Sequence[str]) -> D
         if codes[k] == CODES[name]:
             fill(table[name][k], given[k])
     rows = records(UgvParameters, ugvs)
-    return DriverTables(np.array(codes, dtype=np.int64), rows, table)
+    return DriverTables(np.array(codes, dtype=np.int64), rows[None], table[None])
 
 
 def driver_memories(tables: DriverTables, worlds: int) -> RecordArray:
@@ -94,11 +94,11 @@ def driver_command(
         tick: Current tick.
         own: State of the UGV.
     """
-    row = place[1]
+    row, own_row = place[1], row_of(tables.ugvs.shape[0], place[0])
     u_x, u_y = _driver_command(
         tables.codes[row],
-        tables.ugvs[row],
-        tables.parameters[row],
+        tables.ugvs[own_row, row],
+        tables.parameters[own_row, row],
         memories[place],
         (inputs, tick, own),
     )

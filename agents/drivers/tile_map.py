@@ -100,6 +100,10 @@ class OccupancyGrid(NamedTuple):
     """`GridFlags`. Shape (1,)."""
 
 
+EXTRA_ROWS = 2
+"""Rows of pending commands beyond the delay [ticks]."""
+
+
 def occupancy_grid(
     rows: int, columns: int, delay: int = 0, clearance: float = -1.0
 ) -> OccupancyGrid:
@@ -122,7 +126,7 @@ def occupancy_grid(
         cost=np.full(size, np.inf),
         heap=np.zeros(size, dtype=np.int32),
         place=np.full(size, _NEVER, dtype=np.int32),
-        sent=no_motions(delay + 2),
+        sent=no_motions(delay + EXTRA_ROWS),
         committed=no_motions(1),
         flags=records(GridFlags, [GridFlags(clearance=clearance)]),
     )

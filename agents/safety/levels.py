@@ -12,8 +12,8 @@ from bus.messages.vehicle import UavBriefing
 from sim.compiling.records import RecordArray, records
 from sim.models.safety import SafetyBounds, safety_bounds, visible_radius
 
-_LEVELS = 12
-"""Rows of the table."""
+MOST_LEVELS = 12
+"""Maximum number of rows of the table."""
 _PRECISION = 0.01
 """Precision of the lowest certified altitude [m]."""
 
@@ -99,7 +99,7 @@ def _levels(briefing: UavBriefing) -> tuple[SafetyBounds, ...]:
         high,
     )
     found: list[SafetyBounds] = []
-    for z in dict.fromkeys(np.linspace(low, float(full), _LEVELS).tolist()):
+    for z in dict.fromkeys(np.linspace(low, float(full), MOST_LEVELS).tolist()):
         bounds = bounds_at(briefing, z)
         if found and not bounds.handover_radius >= found[-1].handover_radius:  # smaller, or NaN
             # found in steps: a hand-over radius also holds for every larger visibility radius

@@ -214,7 +214,7 @@ def _step(run: Run, view: View) -> None:
     roles = scratch.roles[0]
     keep_states(state, scratch.before)
     receive_commands(run.tables, state, 0)
-    if run.tables.disturbances.shape[0] > 0:
+    if run.tables.disturbances.shape[1] > 0:
         blackout = scratch.trouble[0].blackout
         roles.blows = disturb(
             conditions,

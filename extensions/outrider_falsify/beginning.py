@@ -135,7 +135,7 @@ def begin(run: Run) -> None:
         adversaries[UGV].heading_y = 1e-6 * next_share(random) if next_share(random) < 0.5 else 0.0
     _begin_states(run.state)
     roles.blows = 0
-    if run.tables.disturbances.shape[0] > 0:
+    if run.tables.disturbances.shape[1] > 0:
         adversaries[UGV].wind = 2.0 * math.pi * next_share(random)
         roles.blows = choose(random, conditions.blows, len(WINDS))
     reset_memory(run.memory)

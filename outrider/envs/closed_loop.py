@@ -30,6 +30,7 @@ from outrider.envs.closed_loop_state import (
     LoopTables,
 )
 from outrider.envs.closed_loop_tick import run_worlds
+from outrider.envs.drawn_worlds import DrawnWorlds, own_tables
 from outrider.envs.initial_grids import grids_of, map_random_buildings
 from outrider.envs.pilot_numbers import (
     PilotNumbers,
@@ -48,6 +49,7 @@ from sim.engine.monitor import certificate_counters
 from sim.engine.run_keys import check_secret
 from sim.engine.world_state import joined
 from sim.env.patch import CoveragePatch, given_patch
+from sim.env.randomization import Randomization
 from sim.env.rows import row_state, row_tables
 from sim.env.settings import Settings, settings_of
 from sim.models.ground import TileArray
@@ -83,7 +85,13 @@ class ClosedLoop:
         **settings: Any,  # noqa: ANN401 - fields of `Settings`
     ) -> None:
         options = settings_of(settings)
+        given, ranges = scenario, options.randomize
+        self.randomization = Randomization(scenario, ranges) if ranges else None
+        """Ranges of randomized fields; None: no field is random."""
+        if self.randomization:
+            scenario = self.randomization.widest
         self.scenario = scenario
+        """Scenario of all worlds; randomized fields have the largest value of their range."""
         self.worlds = worlds
         self.names = tuple(vehicle.name for vehicle in scenario.vehicles)
         """All vehicles, in the order of every array."""
@@ -108,6 +116,7 @@ class ClosedLoop:
             threads=options.threads,
             secret=self._secret,
             others=(LinkKind.RADIO,),
+            differ=self.randomization is not None,
         )
         self.drivers = drivers_in_control(scenario, self.external, chosen)
         """Driver in control of each UGV, `EXTERNAL` for external actions."""
@@ -131,8 +140,12 @@ class ClosedLoop:
             rows=row_state(rows, worlds),
             certificates=np.repeat(certificate_counters(len(self.uavs))[None], worlds, axis=0),
         )
-        if self._needs_pilots(options):
-            self._add_pilots(chosen, options)
+        numbers = self._add_pilots(chosen, options) if self._needs_pilots(options) else None
+        self._drawn = (
+            None
+            if self.randomization is None
+            else DrawnWorlds(self.randomization, given, self.batch, numbers)
+        )
         # the batch restores its own state
         self._fresh = Fresh(self.state[1:])
         self._all = np.arange(worlds)
@@ -145,8 +158,8 @@ class ClosedLoop:
         commanded = len(self.external) == len(self.names)
         return bool(asked) or pictured or not commanded or uses_radio(self.scenario)
 
-    def _add_pilots(self, chosen: Mapping[str, str], settings: Settings) -> None:
-        """Add the tables and the state of pilots, estimates and coverage patches."""
+    def _add_pilots(self, chosen: Mapping[str, str], settings: Settings) -> PilotNumbers:
+        """Add the tables and the state of pilots, estimates and coverage patches; return the pilots' numbers."""
         numbers = PilotNumbers(
             self.scenario, self.uavs, self.ugvs, set(self.external), chosen, settings.safety_filter
         )
@@ -154,27 +167,23 @@ class ClosedLoop:
         self.parameters = parameters
         self.tables = self._pilot_tables(numbers, parameters)
         self.state = self._pilot_state(numbers, parameters, given_patch(settings.coverage_patch))
+        return numbers
 
     def _pilot_tables(self, numbers: PilotNumbers, parameters: LoopParameters) -> LoopTables:
         needed = parameters.estimate or parameters.gradient or parameters.radio
         scripts, script_rows = joined(numbers.scripts, 3)
         return LoopTables(
             **self.tables._asdict(),
+            **own_tables(numbers, self.scenario, self.worlds if self.randomization else None),
             laws=numbers.laws,
-            drivers=numbers.drivers,
             estimating=(numbers.estimating | needed).astype(np.int64),
             filtered=numbers.filtered.astype(np.int64),
             receivers=np.array(
                 [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
                 dtype=np.int64,
             ),
-            kalman=numbers.kalman,
-            safety=numbers.safety,
-            monitored=numbers.safety.copy(),
             scripts=scripts,
             script_rows=script_rows,
-            late=numbers.late,
-            heights=numbers.heights,
         )
 
     def _pilot_state(
@@ -199,7 +208,7 @@ class ClosedLoop:
             uavs=repeated(numbers.laws.uavs, worlds, 1)[:, 0],
             heights=repeated(numbers.climbs, worlds, 1)[:, 0],
             laws=law_memories(numbers.laws, worlds),
-            drivers=driver_memories(numbers.drivers, worlds),
+            drivers=driver_memories(numbers.own.drivers, worlds),
             kalman=repeated(estimator_rows(depth), worlds, uavs),
             filters=repeated(fresh, worlds, uavs),
             grids=None if batch.ground is None else grids_of(numbers.grids, worlds),
@@ -231,6 +240,8 @@ class ClosedLoop:
         """
         which = self.batch.restore(seeds, worlds)
         self._fresh.restore(which)
+        if self._drawn is not None:
+            self._drawn.begin(which, seeds, self._secret, (self.tables, self.state))
         if isinstance(self.state, LoopState):
             keys = self.state.batch.vehicles["keys"][which, :, PILOT]
             pilots = (
@@ -373,6 +384,14 @@ class ClosedLoop:
     def links(self, world: int) -> dict[str, LinkStatus]:
         """Return the counters of each link of one world so far, by `vehicle/kind`."""
         return self.batch.links.status(world)
+
+    def scenario_of(self, world: int) -> Scenario:
+        """Return the scenario of one world's episode, with the drawn values of randomized fields."""
+        return self.scenario if self._drawn is None else self._drawn.scenarios[world]
+
+    def drawn(self, vehicle: str | None = None) -> dict[str, FloatArray]:
+        """Return the drawn values in all worlds by randomized field: all, or those that a vehicle may know."""
+        return {} if self._drawn is None else self._drawn.values(vehicle)
 
     def close(self) -> None:
         """Stop the threads."""

@@ -56,16 +56,19 @@ class HeightTables(NamedTuple):
     """Constants of the UAVs that have an altitude."""
 
     laws: RecordArray
-    """`HeightParameters` of each UAV; empty for one that flies in the plane. Shape (UAVs,)."""
+    """`HeightParameters` of each UAV; empty for one that flies in the plane. Shape (1 or worlds, UAVs)."""
     levels: RecordArray
     """`SafetyBounds` of each UAV's filter by increasing floor; unused rows have an infinite floor.
 
-    Shape (UAVs, most).
+    Shape (1 or worlds, UAVs, most).
     """
 
 
 class LoopTables(NamedTuple):
-    """Constants of all worlds with pilots, estimates or coverage patches: extends `CommandedTables`."""
+    """Constants of worlds with pilots, estimates or coverage patches: extends `CommandedTables`.
+
+    Some have one row for all worlds, or one for each if the worlds differ, as in `BatchTables`.
+    """
 
     batch: BatchTables
     rows: RowTables
@@ -79,17 +82,17 @@ class LoopTables(NamedTuple):
     receivers: IntArray
     """Index of the UGV that receives each UAV's radio. Shape (UAVs,)."""
     kalman: RecordArray
-    """`KalmanParameters` of each UAV. Shape (UAVs,)."""
+    """`KalmanParameters` of each UAV. Shape (1 or worlds, UAVs)."""
     safety: RecordArray
-    """`SafetyBounds` of each UAV's filter. Shape (UAVs,)."""
+    """`SafetyBounds` of each UAV's filter. Shape (1 or worlds, UAVs)."""
     monitored: RecordArray
-    """`SafetyBounds` by which each UAV's certificates are counted. Shape (UAVs,)."""
+    """`SafetyBounds` by which each UAV's certificates are counted. Shape (1 or worlds, UAVs)."""
     heights: HeightTables | None
     """None if all UAVs fly in the plane; nothing is compiled for altitudes then."""
     scripts: FloatArray
     script_rows: IntArray
     late: IntArray
-    """Rows of pending commands of each UGV: its command delay in ticks, plus 2. Shape (UGVs,)."""
+    """Rows of pending commands of each UGV: its command delay in ticks, plus 2. Shape (1 or worlds, UGVs)."""
 
 
 class LoopState(NamedTuple):

@@ -15,7 +15,7 @@ from outrider.envs.perception_tick import perceive
 from outrider.envs.vehicle_parts import map_of
 from sim.channel.link_records import ARRIVED
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined, released
-from sim.compiling.records import RecordArray
+from sim.compiling.records import RecordArray, row_of
 from sim.engine.ground_state import GroundState
 from sim.engine.mission import keeps_clearance
 from sim.engine.monitor import (
@@ -77,7 +77,8 @@ def _add_pictures(
     parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int
 ) -> None:
     """Write the UAVs' estimates and gradients into their rows, and draw their coverage patches."""
-    numbers, vehicles = tables.batch.world[0], state.batch.vehicles
+    numbers = tables.batch.world[row_of(tables.batch.world.shape[0], world)]
+    vehicles = state.batch.vehicles
     maps, patches, escorts = state.maps, state.patches, tables.batch.escorts
     if parameters.estimate or parameters.gradient:
         kalman, rows, uavs, heights = state.kalman, state.rows.uav_rows, state.uavs, tables.heights
@@ -154,14 +155,15 @@ def _record_errors(
 @inlined
 def _count_actions(tables: LoopTables, state: LoopState, world: int, tick: int) -> None:
     """Count the actions of the UAVs with an active safety filter."""
-    escorts, filtered, monitored = tables.batch.escorts, tables.filtered, tables.monitored
+    escorts, filtered = tables.batch.escorts, tables.filtered
+    row, monitored = row_of(tables.monitored.shape[0], world), tables.monitored
     batch, counts = state.batch, state.certificates
     vehicles, flown = batch.vehicles, batch.flown
     for u in range(escorts.shape[0]):
         if filtered[u]:
             v = escorts[u, 0]
             committed = flown[world, v, 0]
-            _count_action(monitored[u], counts[world, u], vehicles[world, v], committed, tick)
+            _count_action(monitored[row, u], counts[world, u], vehicles[world, v], committed, tick)
 
 
 @inlined
@@ -169,8 +171,9 @@ def _count_certificates(
     tables: LoopTables, state: LoopState, ground: GroundState | None, world: int, over: bool
 ) -> None:
     """Update the certificate counters of the UAVs for this tick."""
-    escorts, filtered, monitored = tables.batch.escorts, tables.filtered, tables.monitored
-    disturbed = tables.batch.disturbances.shape[0] > 0
+    escorts, filtered = tables.batch.escorts, tables.filtered
+    row, monitored = row_of(tables.monitored.shape[0], world), tables.monitored
+    disturbed = tables.batch.disturbances.shape[1] > 0
     batch, counts, standings = state.batch, state.certificates, state.rows.standings
     vehicles, links, packets = batch.vehicles, batch.links, batch.packets
     for u in range(escorts.shape[0]):
@@ -183,7 +186,7 @@ def _count_certificates(
         elif filtered[u]:
             come, arrived = packets[world, u, ARRIVED], links[world, u].arrived
             one = vehicles[world, v]
-            _record_errors(monitored, counts[world], come, arrived, u, one, disturbed)
+            _record_errors(monitored[row], counts[world], come, arrived, u, one, disturbed)
 
 
 @released

@@ -22,7 +22,7 @@ from outrider.envs.closed_loop_state import (
 from outrider.envs.height_tick import climb, filter_at, occlusion_at
 from outrider.envs.vehicle_parts import filter_of, grid_of, map_of, reference_of
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
-from sim.compiling.records import RecordArray
+from sim.compiling.records import RecordArray, row_of
 from sim.engine.ground_state import GroundState
 from sim.engine.mission import goals_of, keeps_clearance, record_claim
 from sim.engine.monitor import Claim, record_decision
@@ -61,9 +61,10 @@ def _fly(
         action = actions[action_row]
         u_x, u_y, u_z = action[0], action[1], action[2]
     if tables.filtered[uav]:
-        wanted, bounds = (u_x, u_y, u_z), tables.safety[uav]
+        row = row_of(tables.safety.shape[0], world)
+        wanted, bounds = (u_x, u_y, u_z), tables.safety[row, uav]
         memory = filter_of(state.filters, bounds, world, uav)
-        filter_at(tables.heights, uav, bounds, memory, tick, here, one, wanted, committed)
+        filter_at(tables.heights, (world, uav), bounds, memory, tick, here, one, wanted, committed)
         decision = memory.decision[0]
         u_x, u_y = decision.acceleration[0], decision.acceleration[1]
         u_z = decision.vertical_acceleration
@@ -76,7 +77,7 @@ def _fly(
                 ground.clearances, ground.missions[world], tables.receivers[uav]
             )
         claim = Claim(certified, reports and overridden, standing.lost, True, clear)
-        record_decision(tables.monitored[uav], state.certificates[world, uav], tick, claim)
+        record_decision(tables.monitored[row, uav], state.certificates[world, uav], tick, claim)
         one.outgoing_motion, one.outgoing_motions = add_plans(
             bounds, memory.pending, tick, batch.motions[world, vehicle]
         )
@@ -133,7 +134,8 @@ def _drive(
     radio, arrived = state.inboxes[world, ugv], state.arrived[world, ugv]
     place, here = (world, ugv), reference_of(one)
     committed = batch.flown[world, vehicle, 0].begins if one.follows_motions else PLAIN
-    memory = grid_of(state.grids, tables.late[ugv], world, ugv)
+    late = tables.late[row_of(tables.late.shape[0], world), ugv]
+    memory = grid_of(state.grids, late, world, ugv)
     inputs = DriverInputs(goals, script, radio, arrived, memory, committed)
     one.outgoing[0], one.outgoing[1] = driver_command(
         tables.drivers, state.drivers, place, inputs, tick, here

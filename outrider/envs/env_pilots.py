@@ -70,7 +70,7 @@ class _EnvPilots:
         env = self._env
         self._episode: int = env.episode
         self._pilots = make_pilots(
-            env.scenario,
+            env.worlds.loop.scenario_of(0),
             env.episode_seed,
             secret=env.secret,
             weighting=self._weighting,

@@ -10,6 +10,7 @@ from agents.uav_parameters import Target, UavParameters
 from outrider.envs.closed_loop_state import HeightTables, LoopState
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.dispatch import unless_none
+from sim.compiling.records import row_of
 from sim.engine.space_state import TownState
 from sim.engine.space_tick import known_occlusion_of
 from sim.engine.world_state import Vehicle
@@ -40,7 +41,7 @@ def _occlusion_at(
     vehicle: Vehicle,
 ) -> Occlusion | None:
     world, row = place
-    own, law = vehicle.vertical, heights.laws[row]
+    own, law = vehicle.vertical, heights.laws[row_of(heights.laws.shape[0], world), row]
     if own.flies:
         found = sensor_at(law.sensor, law.camera, own.altitude)
         sensor: Any = uav.sensor
@@ -118,7 +119,7 @@ def climb(
     world, uav = place
     command: float = vertical_command(
         state.uavs[world, uav],
-        heights.laws[uav],
+        heights.laws[row_of(heights.laws.shape[0], world), uav],
         state.heights[world, uav],
         state.batch.ticks[world],
         here,
@@ -133,7 +134,7 @@ def climb(
 @compiled
 def filter_at(
     heights: HeightTables | None,
-    row: int,
+    place: tuple[int, int],
     bounds: SafetyBounds,
     memory: FilterMemory,
     tick: int,
@@ -146,7 +147,7 @@ def filter_at(
 
     Args:
         heights: Tables of the altitudes; None: all UAVs fly in the plane.
-        row: Row of the UAV in the tables.
+        place: World and UAV.
         bounds: Its bounds in the plane.
         memory, tick, here, committed: As in `agents.safety.decision.decide`.
         vehicle: The UAV in the world.
@@ -156,6 +157,7 @@ def filter_at(
         decide(bounds, memory, tick, here, wanted[0], wanted[1], committed)
     elif vehicle.vertical.flies:
         own = vehicle.vertical
-        decide_in_space(heights.levels[row], memory, tick, here, own, wanted, committed)
+        levels = heights.levels[row_of(heights.levels.shape[0], place[0]), place[1]]
+        decide_in_space(levels, memory, tick, here, own, wanted, committed)
     else:
         decide(bounds, memory, tick, here, wanted[0], wanted[1], committed)

@@ -87,7 +87,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self.worlds = Worlds(scenario, 1, None, error=True, **settings)
         """World of the environment, as a batch of one, with its true state."""
         self.scenario = self.worlds.scenario
-        """Scenario of the environment."""
+        """Scenario of the environment; randomized fields have the largest value of their range."""
         self.render_mode = render_mode
         loop = self.worlds.loop
         self.possible_agents: list[str] = list(loop.names)
@@ -288,7 +288,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         if agent not in self.action_spaces:
             raise ValueError(f"agent = {agent!r}; allowed: {', '.join(self.possible_agents)}")
         drivers = self.worlds.loop.drivers
-        return briefing(self.scenario, agent, self.episode_seed, self.secret, drivers)
+        scenario = self.worlds.loop.scenario_of(0)
+        return briefing(scenario, agent, self.episode_seed, self.secret, drivers)
 
     def _follow(self) -> None:
         if self._view is not None:

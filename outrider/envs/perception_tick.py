@@ -16,7 +16,7 @@ from outrider.envs.vehicle_parts import filter_of, grid_of, map_of, reference_of
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED, Packet
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
-from sim.compiling.records import RecordArray
+from sim.compiling.records import RecordArray, row_of
 from sim.engine.ground_state import GroundState, TickArray
 from sim.engine.mission import receive_block
 from sim.models.field import accumulate
@@ -99,7 +99,8 @@ def _radio(tables: LoopTables, state: LoopState, ground: GroundState | None, wor
                 )
                 arrived[g] = n + 1
             elif ground is not None:
-                grid = grid_of(state.grids, tables.late[g], world, g)
+                late = tables.late[row_of(tables.late.shape[0], world), g]
+                grid = grid_of(state.grids, late, world, g)
                 across, states = state.map_updates.repeats.shape[3], state.states[world]
                 place = _receive_block(grid, packet, across, states[:BLOCK_TILES])
                 receive_block(ground, world, g, tick, place, states[:BLOCK_TILES])
@@ -134,6 +135,7 @@ def perceive(
     """Update the map and filters of each UAV and the inbox of each UGV from the messages of this tick."""
     batch, escorts, heights = state.batch, tables.batch.escorts, tables.heights
     tick, detections = batch.ticks[world], state.detections[world]
+    row = row_of(tables.safety.shape[0], world)
     looked = 1 if parameters.own_maps and tick > 0 else 0  # otherwise the world updates the map
     for u in range(escorts.shape[0]):
         uav, vehicle = state.uavs[world, u], batch.vehicles[world, escorts[u, 0]]
@@ -141,17 +143,17 @@ def perceive(
         occlusion = occlusion_at(heights, batch.town, uav, (world, u), vehicle)
         arrived = batch.links[world, u].arrived
         _add_detections(batch.packets[world, u, ARRIVED], arrived, detections)
-        if tables.batch.world[0].discovers:
+        if tables.batch.world[row_of(tables.batch.world.shape[0], world)].discovers:
             cover_found(batch.town, (world, u), uav, tick, map_of(state.maps, world, u))
         if looked > 0:
             grid, dt = map_of(state.maps, world, u), looked * uav.dt
             accumulate(grid, here.p_x, here.p_y, uav.sensor, uav.cell, dt, occlusion)
         if tables.filtered[u]:
-            bounds = tables.safety[u]
+            bounds = tables.safety[row, u]
             memory = filter_of(state.filters, bounds, world, u)
             add_detections(bounds, memory, tick, here, detections, arrived)
         if tables.estimating[u]:
-            numbers, place = tables.kalman[u], (world, u)
+            numbers, place = tables.kalman[row, u], (world, u)
             update_estimate(numbers, state.kalman, place, tick, here, detections, arrived)
     if parameters.radio:
         _radio(tables, state, ground, world)
@@ -164,7 +166,7 @@ def perceive(
         for g in range(ground.ugvs.shape[0]):
             v = ground.ugvs[g]
             _sense_ground(
-                grid_of(state.grids, tables.late[g], world, g),
+                grid_of(state.grids, tables.late[row, g], world, g),
                 ground.seen[world, v, : ground.report_counts[world, v]],
                 ground.known[world, v],
                 state.places[world],

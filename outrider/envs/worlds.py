@@ -103,7 +103,6 @@ class Worlds:
         self._check_others(given, named, names)
         settings |= observed_by(self._policies, options, names)
         self.settings = options = settings_of(settings)
-        self._format = ObservationFormat(self.scenario, options)
         self._external = [*self.learners, *self._policies]
         self.loop = ClosedLoop(
             self.scenario,
@@ -114,6 +113,9 @@ class Worlds:
             **settings,
         )
         """Closed loop of the worlds."""
+        self.scenario = self.loop.scenario
+        """Scenario of all worlds, as in `ClosedLoop`."""
+        self._format = ObservationFormat(self.scenario, options)
         self.action_spaces = {
             v.name: action_space(self.scenario, v) for v in self.scenario.vehicles
         }
@@ -164,7 +166,8 @@ class Worlds:
 
     def world(self, number: int) -> World:
         """Return the true state of one world, a live view."""
-        return World.of_batch(self.loop.batch, number, self._seeds[number].current)
+        seed, scenario = self._seeds[number].current, self.loop.scenario_of(number)
+        return World.of_batch(self.loop.batch, number, seed, scenario)
 
     def observe(self, name: str) -> AgentObservation:
         """Return the observations of a vehicle in all worlds: new arrays, never changed later."""
@@ -196,7 +199,7 @@ class Worlds:
 
         The keys never change. Mission results are NaN before the end of the episode.
         """
-        found: dict[str, npt.NDArray[Any]] = {}
+        found: dict[str, npt.NDArray[Any]] = dict(self.loop.drawn(name))
         if name in self.loop.ugvs:
             found["goals_reached"] = self.standings(name)["reached"].copy()
             if self.scenario.has_ground:
@@ -362,7 +365,7 @@ class Worlds:
         return state.rows.terminated != 0, state.rows.truncated != 0
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
-        """Return each vehicle's true metrics and the terms of its last reward, in all worlds.
+        """Return each vehicle's true metrics and the terms of its last reward, and the random fields, in all worlds.
 
         They are for people, logs and rewards, not for policies.
 
@@ -375,6 +378,7 @@ class Worlds:
         return {
             name: true_metrics(self.scenario, rows, state, name)
             | (self.loop.metrics(name) if name in self.loop.uavs else {})
+            | self.loop.drawn()
             for name in self.loop.names
         }
 

@@ -30,6 +30,9 @@ PER_TICK = {LinkKind.DETECTIONS: 1, LinkKind.COMMANDS: 1, LinkKind.OPERATOR: 64,
 _COUNTERS = ("sent", "delivered", "duplicated", "queued", "in_transit")
 """Counters common to a link's record and its status."""
 
+_PLACES = ("first_blackout", "end_blackout", "first_row", "end_row")
+"""Fields of `LinkParameters` that depend on the other links."""
+
 _WORLD = constant(0)
 """World of links with objects."""
 
@@ -275,6 +278,7 @@ class Links:
         self._settings = [self._check(*name, one) for name, one in settings.items()]
         self._parameters = [self._parameters_of(row) for row in range(len(self.names))]
         self.records, self.packets, self.traces = new_links(self._parameters, worlds)
+        self._own: dict[int, Sequence[LinkSettings]] = {}  # by world
         self._ticks = [0] * len(self.names)  # next tick of `arrivals`
         self._outgoing: list[list[float]] = [
             [] for _ in self.names
@@ -318,11 +322,25 @@ class Links:
         self.packets = change_links(self.records, self.packets, row, new)
         self.traces = place_traces(self.records, self._parameters)
 
+    def set_world(self, world: int, settings: Sequence[LinkSettings]) -> None:
+        """Set checked settings of each link in a world at its start, which need no more memory than the common ones."""
+        self._own[world] = settings
+        for row, one in enumerate(settings):
+            if one == self._settings[row]:
+                continue
+            own = self.records["parameters"][world, row]
+            given = link_parameters(
+                one, self._dt, per_tick=PER_TICK[self.names[row][0]], traces=self._recorded
+            )
+            places = {name: int(own[name]) for name in _PLACES}
+            fill(own, given._replace(**places))
+
     def status(self, world: int = 0) -> dict[str, LinkStatus]:
         """Return the counters of each link of a world so far, by `vehicle/kind`."""
         for row in range(len(self.names)):
             self._catch_up(row)
-        rows = zip(self.names, self.records[world], self._settings, strict=True)
+        own = self._own.get(world, self._settings)
+        rows = zip(self.names, self.records[world], own, strict=True)
         return {f"{name}/{kind}": link_status(link, one) for (kind, name), link, one in rows}
 
     def send_object(self, row: int, tick: int, message: Any, stamp: float) -> None:  # noqa: ANN401 - any object

@@ -13,6 +13,8 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_typ
 import numpy as np
 import numpy.typing as npt
 
+from sim.compiling.compile import compiled
+
 RecordArray = npt.NDArray[np.void]
 """Structured array, one record per element."""
 
@@ -97,6 +99,12 @@ def records(fields: type, rows: Sequence[Any]) -> RecordArray:
     for row, value in zip(table, rows, strict=True):
         fill(row, value)
     return table
+
+
+@compiled
+def row_of(rows: int, world: int) -> int:
+    """Return the row of a world in a table with one row for all worlds, or with one for each."""
+    return min(world, rows - 1)
 
 
 def struct_of(fields: Callable[..., _T], row: Any) -> _T:  # noqa: ANN401 - a record

@@ -16,9 +16,10 @@ from bus.messages.links import LinkKind, LinkSettings
 from bus.ticks import first_tick_from
 from sim.channel.description import check_link
 from sim.compiling.compile import IntArray, released
+from sim.compiling.records import fill
 from sim.compiling.threads import WorkerThreads
 from sim.engine.briefing import safety_parameters, ugv_carries, ugv_delay
-from sim.engine.ground_state import CONSTANTS, GroundState, ground_of
+from sim.engine.ground_state import CONSTANTS, GroundState, ground_of, strides_of
 from sim.engine.run_keys import check_seed, derive_keys
 from sim.engine.scenario_links import ENGINE_LINKS, key_rows, links_of, vehicles_with
 from sim.engine.space_state import town_of
@@ -26,6 +27,7 @@ from sim.engine.world_state import (
     BatchState,
     BatchTables,
     batch_tables,
+    disturbances_of,
     first_coverage,
     first_vehicles,
     world_parameters,
@@ -93,6 +95,7 @@ class Batch:
         threads: Processor cores for the worlds; by default all that this process may use.
         secret: Secret of all random numbers, combined with each world's seed; empty: none.
         others: Kinds of links in addition to detections and commands, which the engine handles.
+        differ: True if worlds may differ from the scenario by `set_world`, which needs as much memory as it or less.
 
     Raises:
         ValueError: If `worlds` is below 1.
@@ -107,6 +110,7 @@ class Batch:
         threads: int | None = None,
         secret: str = "",
         others: Sequence[LinkKind] = (),
+        differ: bool = False,
     ) -> None:
         if worlds < 1:
             raise ValueError(f"worlds = {worlds}: too few; allowed: 1 or more")
@@ -123,7 +127,8 @@ class Batch:
         self._key_rows = key_rows(scenario, self.links)
         self.link_table = scenario.links
         """Current settings of the links, in the form of a scenario."""
-        self.tables = batch_tables(scenario, self.parameters, self.links.traces)
+        rows = worlds if differ else 1
+        self.tables = batch_tables(scenario, self.parameters, self.links.traces, rows)
         vehicles = first_vehicles(scenario)
         self.state = BatchState(
             ticks=np.zeros(worlds, dtype=np.int64),
@@ -135,7 +140,7 @@ class Batch:
             town=town_of(scenario, worlds),
             packets=self.links.packets,
         )
-        self.ground = ground_of(scenario, worlds)
+        self.ground = ground_of(scenario, worlds, rows)
         """State of the ground; None: no hazards."""
         changing = self.ground._asdict() if self.ground is not None else {}
         changing |= self.state._asdict()
@@ -220,6 +225,20 @@ class Batch:
         town.buildings[world], town.corners[world] = 0, 0.0
         town.buildings[world, : len(rows)] = rows
         town.corners[world, : len(corners)] = corners
+
+    def set_world(self, world: int, scenario: Scenario) -> None:
+        """Set the numbers of a restored world to those of its own scenario, whose arrays have the same shapes."""
+        own, vehicles = first_vehicles(scenario), self.state.vehicles[world]
+        for name in ("max_speed", "max_acceleration", "delay_ticks", "interval_ticks"):
+            vehicles[name] = own[name]
+        parameters = world_parameters(scenario, gains=self.parameters.gains)
+        fill(self.tables.world[world], parameters)
+        self.tables.disturbances[world] = disturbances_of(scenario)
+        self.links.set_world(
+            world, [scenario.links.of(name, kind) for kind, name in self.links.names]
+        )
+        if self.ground is not None:
+            self.ground.strides[world] = strides_of(scenario)
 
     def advance(self, *, linked: bool = True) -> None:
         """Advance all worlds by one tick under the outgoing commands, or under `command` of each vehicle.

@@ -102,7 +102,7 @@ class GroundState(NamedTuple):
     ugvs: IntArray
     """Row of each UGV among the vehicles. Shape (UGVs,)."""
     strides: FloatArray
-    """Longest distance that each UGV drives in a tick [m]. Shape (UGVs,)."""
+    """Longest distance that each UGV drives in a tick [m]. Shape (1 or worlds, UGVs), see `BatchTables`."""
     clearances: RecordArray
     """`Clearance` of each UGV. Shape (UGVs,)."""
     hazards: RecordArray
@@ -148,13 +148,16 @@ CONSTANTS = ("parameters", "corners", "ugvs", "strides", "clearances")
 """Arrays of `GroundState` without an axis for worlds."""
 
 
-def ground_of(scenario: Scenario, worlds: int) -> GroundState | None:
-    """Return the initial ground, before hazards are drawn or reported; None: no hazards."""
+def ground_of(scenario: Scenario, worlds: int, rows: int = 1) -> GroundState | None:
+    """Return the initial ground, before hazards are drawn or reported; None: no hazards.
+
+    `rows`: As in `batch_tables`.
+    """
     if not scenario.has_ground:
         return None
     tables = ground_tables(scenario)
-    rows = [(k, one) for k, one in enumerate(scenario.vehicles) if isinstance(one, Ugv)]
-    vehicles, uavs, ugvs = len(scenario.vehicles), len(scenario.uav), len(rows)
+    driving = [(k, one) for k, one in enumerate(scenario.vehicles) if isinstance(one, Ugv)]
+    vehicles, uavs, ugvs = len(scenario.vehicles), len(scenario.uav), len(driving)
     size, count = tables.tiles.shape, len(tables.hazards)
     missions = np.zeros((worlds, ugvs), dtype=record_type(Progress))
     missions["arrived"] = missions["listed"] = -1
@@ -164,8 +167,8 @@ def ground_of(scenario: Scenario, worlds: int) -> GroundState | None:
     return GroundState(
         parameters=records(GroundParameters, [_parameters(scenario, tables.buildings)]),
         corners=world_corners(scenario, tables, worlds),
-        ugvs=np.array([k for k, _ in rows], dtype=np.int64),
-        strides=np.array([one.max_speed * scenario.dt for _, one in rows]),
+        ugvs=np.array([k for k, _ in driving], dtype=np.int64),
+        strides=np.repeat(strides_of(scenario)[None], rows, axis=0),
         clearances=records(
             Clearance,
             [
@@ -174,7 +177,7 @@ def ground_of(scenario: Scenario, worlds: int) -> GroundState | None:
                     guaranteed=not clearance_fault(scenario, one),
                     needed=can_hide(scenario, one),
                 )
-                for _, one in rows
+                for _, one in driving
             ],
         ),
         hazards=np.repeat(tables.hazards[None], worlds, axis=0),
@@ -195,6 +198,12 @@ def ground_of(scenario: Scenario, worlds: int) -> GroundState | None:
         near=np.zeros((worlds, ugvs, count), np.int32),
         found=np.zeros((worlds, count), np.int32),
     )
+
+
+def strides_of(scenario: Scenario) -> FloatArray:
+    """Return the longest distance that each UGV drives in a tick [m]. Shape (UGVs,)."""
+    ugvs = [one for one in scenario.vehicles if isinstance(one, Ugv)]
+    return np.array([one.max_speed * scenario.dt for one in ugvs])
 
 
 def set_driver(scenario: Scenario, ground: GroundState | None, name: str, driver: str) -> None:

@@ -8,6 +8,7 @@ hazards all arrays are empty, and nothing is done.
 import math
 
 from sim.compiling.compile import FloatArray, compiled
+from sim.compiling.records import row_of
 from sim.engine.ground_state import GroundParameters, GroundState
 from sim.engine.space_tick import view_of
 from sim.engine.world_state import BatchState, BatchTables, Vehicle, WorldParameters
@@ -250,7 +251,8 @@ def perceive_ground(
     tables: BatchTables, ground: GroundState, state: BatchState, world: int
 ) -> None:
     """Report the tiles that each vehicle's sensor has observed since the previous tick."""
-    numbers, escorts, tick = tables.world[0], tables.escorts, state.ticks[world]
+    numbers = tables.world[row_of(tables.world.shape[0], world)]
+    escorts, tick = tables.escorts, state.ticks[world]
     for v in range(ground.report_counts.shape[1]):
         ground.report_counts[world, v] = 0
     if tick > 0 and tick % ground.parameters[0].period == 0:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from bus.messages.ground import BLOCK_SIDE
 from bus.messages.telemetry import MissionResult, UgvGuarantee
 from sim.compiling.compile import FloatArray, IntArray, compiled
-from sim.compiling.records import RecordArray
+from sim.compiling.records import RecordArray, row_of
 from sim.engine.ground_state import GroundState, TickArray
 from sim.engine.world_state import BatchState, BatchTables
 from sim.models.ground import (
@@ -209,7 +209,10 @@ def _drive(
         ]
         row.way += way
         row.seen_way += way if 0 < received <= tick else 0.0
-        if row.arrived < 0 and way < _STILL * ground.strides[ugv]:
+        if (
+            row.arrived < 0
+            and way < _STILL * ground.strides[row_of(ground.strides.shape[0], world), ugv]
+        ):
             row.still += 1
     if row.reached < goals.shape[0]:
         row.reached, _ = next_goal(goals, row.reached, tables.tolerances[ugv], x, y)

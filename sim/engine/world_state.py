@@ -123,10 +123,10 @@ class Vehicle:
 
 
 class BatchTables(NamedTuple):
-    """Constants of all worlds."""
+    """Constants of all worlds, or of each world: compiled code reads the row `row_of(rows, world)`."""
 
     world: RecordArray
-    """`WorldParameters`. Shape (1,)."""
+    """`WorldParameters`. Shape (1,), or (worlds,) if worlds differ."""
     escorts: IntArray
     """Rows (UAV, UGV). Shape (UAVs, 2)."""
     ugvs: IntArray
@@ -134,7 +134,7 @@ class BatchTables(NamedTuple):
     traces: IntArray
     """Scheduled blackouts and traces of all links. Shape (rows, 2)."""
     disturbances: RecordArray
-    """`DisturbanceParameters` of each UAV. Shape (UAVs,); (0,) without disturbances."""
+    """`DisturbanceParameters` of each UAV. Shape (1 or worlds, UAVs); no UAVs without disturbances."""
     goals: FloatArray
     """Goals of all UGVs [m]. Shape (goals, 2)."""
     goal_rows: IntArray
@@ -225,16 +225,18 @@ def disturbances_of(scenario: Scenario) -> RecordArray:
     return records(DisturbanceParameters, rows)
 
 
-def batch_tables(scenario: Scenario, parameters: WorldParameters, traces: IntArray) -> BatchTables:
-    """Return the constants of a scenario."""
+def batch_tables(
+    scenario: Scenario, parameters: WorldParameters, traces: IntArray, rows: int = 1
+) -> BatchTables:
+    """Return the constants of a scenario; `rows`: 1, or the number of worlds if they differ."""
     ugvs = [(k, one) for k, one in enumerate(scenario.vehicles) if isinstance(one, Ugv)]
     goals, goal_rows = joined([np.array(one.goals, float).reshape(-1, 2) for _, one in ugvs], 2)
     return BatchTables(
-        world=records(WorldParameters, [parameters]),
+        world=records(WorldParameters, [parameters] * rows),
         escorts=escorts_of(scenario),
         ugvs=np.array([k for k, _ in ugvs], dtype=np.int64),
         traces=traces,
-        disturbances=disturbances_of(scenario),
+        disturbances=np.repeat(disturbances_of(scenario)[None], rows, axis=0),
         goals=goals,
         goal_rows=goal_rows,
         tolerances=np.array([one.goal_tolerance for _, one in ugvs], dtype=np.float64),

@@ -7,7 +7,7 @@ import numpy as np
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED
 from sim.compiling.compile import IntArray, compiled, inlined
-from sim.compiling.records import RecordArray
+from sim.compiling.records import RecordArray, row_of
 from sim.engine.ground_state import GroundState
 from sim.engine.ground_tick import drive_on, perceive_ground, store_positions
 from sim.engine.mission import record_mission
@@ -89,7 +89,8 @@ def measure(tables: BatchTables, state: BatchState, world: int, error: bool) -> 
         world: Index of the world.
         error: False: set e(t) to 0.
     """
-    numbers, escorts, vehicles = tables.world[0], tables.escorts, state.vehicles
+    numbers = tables.world[row_of(tables.world.shape[0], world)]
+    escorts, vehicles = tables.escorts, state.vehicles
     for k in range(escorts.shape[0]):
         uav, ugv = vehicles[world, escorts[k, 0]], vehicles[world, escorts[k, 1]]
         uav.distance = norm(uav.position[0] - ugv.position[0], uav.position[1] - ugv.position[1])
@@ -197,7 +198,8 @@ def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None
     Without a new one it levels off, and after the command timeout it brakes. A receiver of trajectories starts each in
     its own tick if its parent is active then. Otherwise it continues the active trajectory, and rests at its end.
     """
-    numbers, uavs = tables.world[0], tables.escorts.shape[0]
+    numbers = tables.world[row_of(tables.world.shape[0], world)]
+    uavs = tables.escorts.shape[0]
     for v in range(state.vehicles.shape[1]):
         vehicle = state.vehicles[world, v]
         _exchange_commands(state, tables.traces, world, v, uavs + v)
@@ -214,10 +216,11 @@ def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None
 @inlined
 def draw_disturbances(tables: BatchTables, state: BatchState, world: int) -> None:
     """Draw the disturbances of each UAV for the next tick."""
-    for u in range(tables.disturbances.shape[0]):
+    row = row_of(tables.disturbances.shape[0], world)
+    for u in range(tables.disturbances.shape[1]):
         uav = state.vehicles[world, tables.escorts[u, 0]]
         key = key_of(uav.keys, DISTURBANCE)
-        draw_disturbance(tables.disturbances[u], uav.disturbance, key, state.ticks[world])
+        draw_disturbance(tables.disturbances[row, u], uav.disturbance, key, state.ticks[world])
 
 
 @inlined
@@ -229,7 +232,7 @@ def _perceive(
     A ground sensor observes from its vehicle's reference position: the time of a report then depends only on the
     vehicle's own trajectory, so that no UAV can infer the wind from it.
     """
-    numbers = tables.world[0]
+    numbers = tables.world[row_of(tables.world.shape[0], world)]
     if ground is not None:
         perceive_ground(tables, ground, state, world)
         record_mission(tables, state, ground, world)
@@ -247,7 +250,7 @@ def _perceive(
 @inlined
 def move(tables: BatchTables, state: BatchState, ground: GroundState | None, world: int) -> None:
     """Advance to the next tick: vehicles move (1), and UAVs observe the ground (3) and their UGVs."""
-    numbers = tables.world[0]
+    numbers = tables.world[row_of(tables.world.shape[0], world)]
     state.ticks[world] += 1
     if ground is not None:
         store_positions(ground, state, world)
@@ -258,9 +261,10 @@ def move(tables: BatchTables, state: BatchState, ground: GroundState | None, wor
         drive_on(numbers, ground, state, world)
     for v in range(state.vehicles.shape[1]):
         _reset_to_reference(state.vehicles[world, v])
-    for u in range(tables.disturbances.shape[0]):
+    row = row_of(tables.disturbances.shape[0], world)
+    for u in range(tables.disturbances.shape[1]):
         disturbed = state.vehicles[world, tables.escorts[u, 0]]
-        step_error(tables.disturbances[u].loop, disturbed.disturbance, numbers.dt)
+        step_error(tables.disturbances[row, u].loop, disturbed.disturbance, numbers.dt)
         apply_disturbance(disturbed)
     for u in range(tables.escorts.shape[0]):
         uav, ugv = tables.escorts[u, 0], tables.escorts[u, 1]

@@ -66,6 +66,10 @@ class Settings:
     """Control of the other vehicles: a law, driver or saved policy by name, such as `npz:FILE.npz`, or a policy for all
     worlds; None: the scenario's law and drivers.
     """
+    randomize: Mapping[str, Sequence[float]] | None = None
+    """Smallest and largest value of scenario fields, such as `{"uav.*.max_speed": [0.4, 0.8]}`, from which each episode
+    draws uniformly by its seed; `sim.env.randomization.RANDOMIZED` lists the fields. None: no field is random.
+    """
     threads: int | None = None
     """Processor cores for the worlds; None: all that this process may use."""
 
@@ -84,6 +88,11 @@ class Settings:
             )
         if not (self.others is None or isinstance(self.others, Mapping)):
             raise TypeError(f"others = {self.others!r}; allowed: pilots by vehicle, or None")
+        if not (self.randomize is None or isinstance(self.randomize, Mapping)):
+            raise TypeError(
+                f"randomize = {self.randomize!r}; allowed: ranges by field, "
+                "such as {'uav.*.max_speed': [0.4, 0.8]}, or None"
+            )
         check_secret(self.secret)
         for dtype in _values(self.dtype):
             check_dtype(dtype)

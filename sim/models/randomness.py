@@ -34,6 +34,8 @@ GROUND_LOOK = constant(9)
 BUILDING_FIELDS = constant(10)
 RUN_PURPOSES = 11
 """Number of these purposes."""
+RANGES = 11
+"""Purpose of an episode's randomized fields, in place of a purpose and with a field's number in place of a vehicle."""
 
 # Purposes that share a key: of a pilot, of a link, of wind and position error, of the hazards, or of the buildings.
 # Numbers must never change.

@@ -1,0 +1,140 @@
+"""Worlds of a closed loop whose episodes draw some fields of their scenario."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from agents.safety.levels import MOST_LEVELS
+from bus.errors import ScenarioError
+from bus.messages.scenario import Law
+from bus.registry import LAWS
+from outrider.envs.closed_loop_state import CommandedState, CommandedTables, LoopState, LoopTables
+from outrider.envs.pilot_numbers import OwnNumbers, PilotNumbers
+from outrider.running.assumptions import shortfalls
+from sim.compiling.compile import FloatArray, IntArray
+from sim.engine.batch import Batch
+from sim.env.randomization import Randomization
+from sim.scenario.types import Scenario
+
+_COMMON = "codes"
+"""Table of `DriverTables` that never differs between worlds."""
+
+
+def _tables_of(own: OwnNumbers) -> dict[str, Any]:
+    """Return the tables of `LoopTables` that may differ between worlds, with the row of one world."""
+    heights = own.heights
+    return {
+        "kalman": own.kalman[None],
+        "safety": own.safety[None],
+        "monitored": own.safety[None],
+        "late": own.late[None],
+        "heights": None if heights is None else heights._make(one[None] for one in heights),
+        "drivers": own.drivers,
+    }
+
+
+def _repeated(table: Any, rows: int) -> Any:  # noqa: ANN401 - nested tables
+    """Return nested tables with copies of their only row."""
+    if hasattr(table, "_asdict"):
+        parts = table._asdict().items()
+        return table._replace(**{k: _repeated(one, rows) for k, one in parts if k != _COMMON})
+    return None if table is None else np.repeat(table, rows, axis=0)
+
+
+def _set_row(table: Any, world: int, own: Any) -> None:  # noqa: ANN401 - nested tables
+    """Write the only row of nested tables into the row of a world."""
+    if hasattr(table, "_asdict"):
+        for name, part in table._asdict().items():
+            if name != _COMMON:
+                _set_row(part, world, getattr(own, name))
+    elif table is not None:
+        table[world] = own[0]
+
+
+def own_tables(numbers: PilotNumbers, scenario: Scenario, worlds: int | None) -> dict[str, Any]:
+    """Return the tables of `LoopTables` that may differ between worlds.
+
+    Args:
+        numbers: Numbers of the pilots.
+        scenario: Scenario of all worlds.
+        worlds: Number of worlds that differ; None: one row serves all.
+    """
+    own = numbers.own if worlds is None else numbers.numbers(scenario, MOST_LEVELS)
+    return {name: _repeated(table, worlds or 1) for name, table in _tables_of(own).items()}
+
+
+def _check_corners(randomization: Randomization, given: Scenario, numbers: PilotNumbers) -> None:
+    """Check that each combination of the ranges' ends suits the laws, and the safety filters if there are any.
+
+    Raises:
+        ScenarioError: If a law does not fit, or the filters cannot rely on an assumption that holds without the ranges.
+    """
+    watched = next(name for name, row in LAWS.items() if row.watched)
+    filtered = numbers.filtered.any()
+
+    def broken(scenario: Scenario) -> dict[tuple[str, str], str]:
+        inside = msgspec.structs.replace(scenario, law=Law(name=watched))
+        return {(one.uav, one.assumption): one.line for one in shortfalls(inside)}
+
+    before = broken(given) if filtered else {}
+    for corner in randomization.corners():
+        numbers.check_laws(corner)
+        for what, line in broken(corner).items() if filtered else ():
+            if what not in before:
+                raise ScenarioError(f"randomize: {given.name or 'scenario'}: {line}")
+
+
+class DrawnWorlds:
+    """Values and scenarios of worlds with randomized fields.
+
+    Args:
+        randomization: Ranges of the fields.
+        given: Scenario without the ranges.
+        batch: Worlds, which may differ.
+        numbers: Numbers of the pilots; None: all actions are external and there are no estimates.
+
+    Raises:
+        ScenarioError: If the ranges break an assumption of the safety filter.
+    """
+
+    def __init__(
+        self,
+        randomization: Randomization,
+        given: Scenario,
+        batch: Batch,
+        numbers: PilotNumbers | None,
+    ) -> None:
+        if numbers is not None:
+            _check_corners(randomization, given, numbers)
+        self._randomization, self._batch, self._numbers = randomization, batch, numbers
+        self.scenarios = [randomization.widest] * batch.worlds
+        """Scenario of each world's episode."""
+        self._values = np.zeros((batch.worlds, len(randomization.keys)))
+
+    def begin(
+        self,
+        worlds: IntArray,
+        seeds: Sequence[int] | IntArray,
+        secret: str,
+        loop: tuple[LoopTables | CommandedTables, LoopState | CommandedState],
+    ) -> None:
+        """Draw the values of restored worlds, and write them into the tables and the state of the loop."""
+        tables, state = loop
+        for world, seed in zip(worlds.tolist(), seeds, strict=True):
+            self._values[world], scenario = self._randomization.draw(int(seed), secret)
+            self.scenarios[world] = scenario
+            self._batch.set_world(world, scenario)
+            if self._numbers is None or not isinstance(state, LoopState):
+                continue
+            own = self._numbers.numbers(scenario, MOST_LEVELS)
+            state.uavs[world] = own.uavs
+            for name, table in _tables_of(own).items():
+                _set_row(getattr(tables, name), world, table)
+
+    def values(self, vehicle: str | None = None) -> dict[str, FloatArray]:
+        """Return the values in all worlds by field: all, or those that a vehicle may know. Shape (worlds,)."""
+        keys = self._randomization.keys
+        known = range(len(keys)) if vehicle is None else self._randomization.known_to(vehicle)
+        return {keys[n]: self._values[:, n].copy() for n in known}
