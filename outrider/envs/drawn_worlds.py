@@ -10,7 +10,13 @@ from agents.safety.levels import MOST_LEVELS
 from bus.errors import ScenarioError
 from bus.messages.scenario import Law
 from bus.registry import LAWS
-from outrider.envs.closed_loop_state import CommandedState, CommandedTables, LoopState, LoopTables
+from outrider.envs.closed_loop_state import (
+    CommandedState,
+    CommandedTables,
+    HeightTables,
+    LoopState,
+    LoopTables,
+)
 from outrider.envs.pilot_numbers import OwnNumbers, PilotNumbers
 from outrider.running.assumptions import shortfalls
 from sim.compiling.compile import FloatArray, IntArray
@@ -30,7 +36,7 @@ def _tables_of(own: OwnNumbers) -> dict[str, Any]:
         "safety": own.safety[None],
         "monitored": own.safety[None],
         "late": own.late[None],
-        "heights": None if heights is None else heights._make(one[None] for one in heights),
+        "heights": None if heights is None else HeightTables(*(one[None] for one in heights)),
         "drivers": own.drivers,
     }
 

@@ -332,7 +332,7 @@ class Links:
             given = link_parameters(
                 one, self._dt, per_tick=PER_TICK[self.names[row][0]], traces=self._recorded
             )
-            places = {name: int(own[name]) for name in _PLACES}
+            places: dict[str, Any] = {name: int(own[name]) for name in _PLACES}
             fill(own, given._replace(**places))
 
     def status(self, world: int = 0) -> dict[str, LinkStatus]:
