@@ -220,7 +220,7 @@ def test_bad_rewards_of_a_function_raise(reward, fault) -> None:
     env.reset(seed=1)
     with pytest.raises((TypeError, ValueError), match=fault):
         env.step(dict.fromkeys(env.agents, STILL))
-    with pytest.raises(TypeError, match=r"reward_function = 3: .*allowed"):
+    with pytest.raises(TypeError, match="reward_function = 3; allowed"):
         outrider.parallel_env("escort", reward_function=3)
 
 

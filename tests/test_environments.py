@@ -52,7 +52,12 @@ def step(env: Any, action: Any = GOOD) -> Any:
     """Step every world with this action of the UAV."""
     if isinstance(env, VectorEnv):
         return env.step([action] * env.num_envs)
-    return env.step(action if isinstance(env, gymnasium.Env) else {"uav_0": action, "ugv_0": GOOD})
+    if isinstance(env, gymnasium.Env):
+        return env.step(action)
+    actions = {"uav_0": action, "ugv_0": GOOD}
+    if hasattr(env, "num_envs"):
+        actions = {name: np.tile(one, (env.num_envs, 1)) for name, one in actions.items()}
+    return env.step(actions)
 
 
 @pytest.mark.parametrize("name", ALL)

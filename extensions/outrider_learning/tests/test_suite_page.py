@@ -12,7 +12,7 @@ ENVIRONMENT, SUITE = "docs/reference/environment.md", "extensions/outrider_learn
 
 
 def test_documented_entry_is_scored(monkeypatch, capsys):
-    (block,) = blocks("python", SUITE)
+    block = "\n".join(blocks("python", SUITE))
     short = Task(name="short", hard="", changes={**suite()["short-sight"].changes, "duration": 5.0})
     monkeypatch.setattr(tasks, "suite", lambda: {"short-sight": short})
     run_shown(block, SUITE)
