@@ -4,7 +4,7 @@
     python benchmarks/baselines.py
 
 Every training is a file in `--out`; a second start trains only what is missing. At the end the program writes the
-table in `extensions/outrider_learning/README.md`, the curves beside it, and `examples/policies/ppo_*.npz`.
+table in `extensions/outrider_learning/README.md`, the curves, and `examples/policies/ppo_*.npz`.
 """
 
 import argparse
@@ -34,8 +34,8 @@ from outrider_learning.suite.tasks import SEEDS, Task, suite
 from outrider_learning.transformation import Transformed
 
 PAGE = Path("extensions/outrider_learning/README.md")
-PICTURE = PAGE.with_name("baselines.png")
-SHOWN = f"![Validation scores over the processor time of training]({PICTURE.name})\n"
+PICTURE = Path("docs/how-to/baselines.png")
+SHOWN = f"![Validation scores over the processor time of training](../../{PICTURE})\n"
 POLICIES = Path("examples/policies")
 MARKS = "<!-- baselines -->\n", "<!-- /baselines -->\n"
 VALIDATION_SEEDS = range(8000, 8002)

@@ -34,7 +34,7 @@ OLD = {
 """Pictures from before their words were written into the file, and why they are not drawn again."""
 ELSEWHERE = {
     "docs/tutorial.png": "test_notebooks.py",
-    "extensions/outrider_learning/baselines.png": "test_sb3.py, in the environment of Stable-Baselines3",
+    "docs/how-to/baselines.png": "test_sb3.py, in the environment of Stable-Baselines3",
 }
 """Pictures that another test compares."""
 

@@ -528,5 +528,5 @@ def test_the_published_curves_of_baselines_have_the_words_of_the_code(
     for _, _, _, file in baselines.jobs(tmp_path):
         file.write_text('{"curve": [[0, 0.0, 10.0], [1, 1.0, 20.0]]}')
     baselines.draw(tmp_path)
-    published = ROOT / "extensions" / "outrider_learning" / "baselines.png"
+    published = ROOT / "docs" / "how-to" / "baselines.png"
     assert pages.words(published) == pages.words(tmp_path / "drawn.png")
