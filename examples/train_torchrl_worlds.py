@@ -66,8 +66,8 @@ def train(env: OutriderTorchEnv, *, minutes: float, steps: int, seed: int) -> li
                 for learner in learners:
                     learner.step(flat[part])
         elapsed = time.monotonic() - started
-        told = ", ".join(f"{group} {reward:+.4f}" for group, reward in rewards.items())
-        print(f"{done:>8} steps  {done / elapsed:5.0f} /s  reward per step: {told}", flush=True)
+        shown = ", ".join(f"{group} {reward:+.4f}" for group, reward in rewards.items())
+        print(f"{done:>8} steps  {done / elapsed:5.0f} /s  reward per step: {shown}", flush=True)
         if elapsed > 60.0 * minutes:
             break
     collector.shutdown(close_env=False)

@@ -32,7 +32,7 @@ def page() -> str:
 
 
 def extensions() -> dict[str, EntryPoint]:
-    """Return the commands of Outrider's extensions, without those of other packages that are installed here."""
+    """Return the commands of Outrider's extensions, without those of other installed packages."""
     found = plugins.registered("commands").items()
     return {name: one for name, one in found if one.dist is None or one.dist.name == "outrider"}
 

@@ -80,12 +80,14 @@ def load_policy(path: str | Path) -> tuple[Mlp, dict[str, Any]]:
             tuple(arrays[f"{part}_{k}"].astype(np.float64, casting="same_kind") for k in layers)
             for part in ("weight", "bias")
         )
+    except FileNotFoundError as error:
+        raise ValueError(f"policy {str(path)!r}: no such file") from error
     except (
         Exception
     ) as error:  # zipfile, zlib and NumPy raise errors of many kinds for a damaged file
         reason = shortened(f"{type(error).__name__}: {error}")
         raise ValueError(
-            f"policy {str(path)!r}: cannot be read: {reason}; allowed: a file of examples/train_uav.py"
+            f"policy {str(path)!r}: cannot be read: {reason}; allowed: a file of examples/train_uav.py or save_network"
         ) from error
     _check(path, weights, biases, recipe)
     return Mlp(weights, biases), recipe

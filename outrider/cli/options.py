@@ -202,6 +202,11 @@ DEFAULT_ENDPOINT = "tcp/127.0.0.1:17447"
 DEFAULT_RUN = "flight"
 
 
+def with_respawn(changes: list[str] | None, *, respawn: bool) -> list[str]:
+    """Return the changes of `--set`, with the one that `--respawn` stands for."""
+    return [*(changes or ()), *(["run.respawn=true"] if respawn else [])]
+
+
 def secret_of(given: str, *, wanted: bool = False) -> str:
     """Return the run's secret.
 

@@ -98,7 +98,7 @@ def command(
         uav_policy=uav_policy,
         network=network,
         realtime=realtime,
-        changes=[*(changes or ()), *(["run.respawn=true"] if respawn else [])],
+        changes=options.with_respawn(changes, respawn=respawn),
     )
     has_external = any(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
     _check_processes(flown, 0 if in_process else allow_processes)
@@ -106,8 +106,7 @@ def command(
     run_secret = options.secret_of(secret, wanted=has_external)
     check_code(flown, named, source=scenario, allowed=allow_code)
     print_warnings((*scenario_warnings(flown), *check_own_functions(flown)))
-    if record is not None:
-        import outrider.recording.writer  # noqa: F401 - report a missing extra here, not in a child
+    _check_recording(record)
     place = output_folder(out, flown.name) if files else nullcontext()
     with place as folder, stop_on_signals() as stop:
         output = Output(folder=str(folder or ""), picture=picture, record=str(record or ""))
@@ -117,6 +116,12 @@ def command(
             outcome = _fly_apart(flown, run_secret, output, beside, stop)
         _report(outcome, folder, json=json)
     _end(outcome, stop)
+
+
+def _check_recording(record: Path | None) -> None:
+    """Report a missing extra here, not in a child."""
+    if record is not None:
+        import outrider.recording.writer  # noqa: F401
 
 
 def _check_in_process(in_process: bool, has_options: bool, has_external: bool) -> None:

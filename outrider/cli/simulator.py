@@ -197,7 +197,7 @@ def command(
         duration=duration,
         realtime=realtime,
         join_timeout=join_timeout,
-        changes=[*(changes or ()), *(["run.respawn=true"] if respawn else [])],
+        changes=options.with_respawn(changes, respawn=respawn),
     )
     given, credential = None, None
     if connect:

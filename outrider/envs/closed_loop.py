@@ -28,6 +28,7 @@ from outrider.envs.closed_loop_state import (
     LoopParameters,
     LoopState,
     LoopTables,
+    commanded,
 )
 from outrider.envs.closed_loop_tick import run_worlds
 from outrider.envs.drawn_worlds import DrawnWorlds, own_tables
@@ -45,12 +46,11 @@ from sim.compiling.records import RecordArray
 from sim.engine.batch import Batch, Fresh
 from sim.engine.ground_state import set_driver
 from sim.engine.mission import mission_of
-from sim.engine.monitor import certificate_counters
 from sim.engine.run_keys import check_secret
 from sim.engine.world_state import joined
 from sim.env.patch import CoveragePatch, given_patch
 from sim.env.randomization import Randomization
-from sim.env.rows import row_state, row_tables
+from sim.env.rows import row_tables
 from sim.env.settings import Settings, settings_of
 from sim.models.ground import TileArray
 from sim.models.randomness import PILOT
@@ -109,48 +109,41 @@ class ClosedLoop:
             if name not in self.names:
                 raise ValueError(f"vehicle = {name!r}; allowed: {', '.join(self.names)}")
         self._secret = check_secret(options.secret)
-        self.batch = Batch(
-            scenario,
-            worlds,
-            gains=options.rewards.seen > 0.0,
-            threads=options.threads,
-            secret=self._secret,
-            others=(LinkKind.RADIO,),
-            differ=self.randomization is not None,
-        )
+        self.batch = self._batch_of(options)
         self.drivers = drivers_in_control(scenario, self.external, chosen)
         """Driver in control of each UGV, `EXTERNAL` for external actions."""
         for name, driver in self.drivers.items():
             set_driver(scenario, self.batch.ground, name, driver)
-        rows = row_tables(scenario, options, error=error)
-        self.has_error = bool(rows.episode["error"][0])
-        """True if e(t) is computed at every tick."""
         self.parameters: LoopParameters | None = None
         """Parameters of the pilots; None if all actions are external and no other feature is needed."""
-        self.tables: LoopTables | CommandedTables = CommandedTables(
-            batch=self.batch.tables,
-            rows=rows,
-            action_row=np.array(
-                [self.external.index(n) if n in self.external else -1 for n in self.names],
-                dtype=np.int64,
-            ),
+        self.tables: LoopTables | CommandedTables
+        self.state: LoopState | CommandedState
+        self.tables, self.state = commanded(
+            scenario, self.batch, self.external, row_tables(scenario, options, error=error)
         )
-        self.state: LoopState | CommandedState = CommandedState(
-            batch=self.batch.state,
-            rows=row_state(rows, worlds),
-            certificates=np.repeat(certificate_counters(len(self.uavs))[None], worlds, axis=0),
-        )
+        self.has_error = bool(self.tables.rows.episode["error"][0])
+        """True if e(t) is computed at every tick."""
         numbers = self._add_pilots(chosen, options) if self._needs_pilots(options) else None
-        self._drawn = (
-            None
-            if self.randomization is None
-            else DrawnWorlds(self.randomization, given, self.batch, numbers)
-        )
+        self._drawn: DrawnWorlds | None = None
+        if self.randomization:
+            self._drawn = DrawnWorlds(self.randomization, given, self.batch, numbers)
         # the batch restores its own state
         self._fresh = Fresh(self.state[1:])
         self._all = np.arange(worlds)
         self._none = np.zeros((worlds, 0, 3))
         self.begin([scenario.seed], [0])
+
+    def _batch_of(self, settings: Settings) -> Batch:
+        """Return the batch of worlds."""
+        return Batch(
+            self.scenario,
+            self.worlds,
+            gains=settings.rewards.seen > 0.0,
+            threads=settings.threads,
+            secret=self._secret,
+            others=(LinkKind.RADIO,),
+            differ=self.randomization is not None,
+        )
 
     def _needs_pilots(self, settings: Settings) -> bool:
         asked = settings.estimate or settings.gradient or settings.safety_filter

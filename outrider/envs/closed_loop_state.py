@@ -1,6 +1,9 @@
 """Parameters, tables and state of `outrider.envs.closed_loop`: the arrays of its compiled tick."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
+
+import numpy as np
 
 from agents.drivers.dispatch import DriverTables
 from agents.drivers.tile_map import OccupancyGrid
@@ -9,9 +12,12 @@ from agents.laws.dispatch import LawTables
 from agents.safety.memory import FilterMemory
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
+from sim.engine.batch import Batch
+from sim.engine.monitor import certificate_counters
 from sim.engine.world_state import BatchState, BatchTables
-from sim.env.rows import RowState, RowTables
+from sim.env.rows import RowState, RowTables, row_state
 from sim.models.ground import TileArray
+from sim.scenario.types import Scenario
 
 
 class LoopParameters(NamedTuple):
@@ -138,3 +144,26 @@ class LoopState(NamedTuple):
     places: IntArray
     states: TileArray
     """Work arrays for tiles reported to a UGV: indices and states. Shapes (worlds, 2, room), (worlds, room)."""
+
+
+def commanded(
+    scenario: Scenario, batch: Batch, external: Sequence[str], rows: RowTables
+) -> tuple[CommandedTables, CommandedState]:
+    """Return the tables and the state of worlds in which all actions are external.
+
+    Args:
+        scenario: Scenario of all worlds.
+        batch: The worlds.
+        external: Vehicles with external actions, in the order of the actions.
+        rows: Tables of the observation rows.
+    """
+    names = [vehicle.name for vehicle in scenario.vehicles]
+    action_row = [external.index(name) if name in external else -1 for name in names]
+    counters = certificate_counters(len(scenario.uav))[None]
+    tables = CommandedTables(batch.tables, rows, np.array(action_row, dtype=np.int64))
+    state = CommandedState(
+        batch=batch.state,
+        rows=row_state(rows, batch.worlds),
+        certificates=np.repeat(counters, batch.worlds, axis=0),
+    )
+    return tables, state

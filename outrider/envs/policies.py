@@ -1,7 +1,7 @@
 """Policies that control the other vehicles of an environment, loaded by name."""
 
 import inspect
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from copy import deepcopy
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from agents.drivers.policy import RowPolicy
 from bus.errors import ScenarioError
 from bus.observations import UGV, names
+from outrider.envs.pilot_numbers import pilot_names
 from outrider.running.user_code import load_policy
 from sim.compiling.compile import FloatArray
 from sim.env.observation import AgentObservation, one_of_world
@@ -74,6 +75,34 @@ def named_policies(others: Mapping[str, Any], scenario: Scenario) -> dict[str, A
         else pilot
         for name, pilot in others.items()
     }
+
+
+def check_others(given: Mapping[str, Any], scenario: Scenario, learners: Collection[str]) -> None:
+    """Check the pilots of the vehicles that do not learn.
+
+    Args:
+        given: Names or policies by vehicle.
+        scenario: Scenario of the environment.
+        learners: Vehicles with external actions.
+
+    Raises:
+        ValueError: If a vehicle or a pilot is not allowed.
+    """
+    names = [vehicle.name for vehicle in scenario.vehicles]
+    for name, pilot in given.items():
+        if name not in names:
+            raise ValueError(f"others: {name!r}: no such vehicle; allowed: {', '.join(names)}")
+        if name in learners:
+            raise ValueError(f"others: {name!r}: its actions are external; allowed: other vehicles")
+        known = pilot_names(scenario, name)
+        if isinstance(pilot, str) and pilot not in known:
+            raise ValueError(
+                f"others: {name!r}: {pilot!r}: unknown; allowed: {', '.join(known)}, or a policy"
+            )
+        if not isinstance(pilot, str) and not callable(pilot):
+            raise ValueError(f"others: {name!r}: {pilot!r}: neither a name nor a policy")
+        if hasattr(pilot, "check"):  # policies of outrider_learning check the scenario
+            pilot.check(scenario)
 
 
 def observed_by(

@@ -18,8 +18,7 @@ from bus.messages.links import LinkStatus
 from bus.messages.telemetry import MissionResult
 from bus.observations import as_rows
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.envs.pilot_numbers import pilot_names
-from outrider.envs.policies import named_policies, observed_by
+from outrider.envs.policies import check_others, named_policies, observed_by
 from outrider.envs.true_state import TrueState
 from outrider.running.metrics import MISSION, numbers
 from sim.compiling.compile import FloatArray, IntArray
@@ -100,7 +99,7 @@ class Worlds:
             name: pilot for name, pilot in given.items() if not isinstance(pilot, str)
         }
         named = {name: pilot for name, pilot in given.items() if isinstance(pilot, str)}
-        self._check_others(given, named, names)
+        check_others(given, self.scenario, self.learners)
         settings |= observed_by(self._policies, options, names)
         self.settings = options = settings_of(settings)
         self._external = [*self.learners, *self._policies]
@@ -130,26 +129,6 @@ class Worlds:
         self.has_episode = False
         """True after the first reset."""
         self._view = None if render_mode is None else BatchRendering(self.loop.batch)
-
-    def _check_others(
-        self, given: Mapping[str, object], named: Mapping[str, str], names: list[str]
-    ) -> None:
-        for name, pilot in given.items():
-            if name not in names:
-                raise ValueError(f"others: {name!r}: no such vehicle; allowed: {', '.join(names)}")
-            if name in self.learners:
-                raise ValueError(
-                    f"others: {name!r}: its actions are external; allowed: other vehicles"
-                )
-            if name in named and named[name] not in pilot_names(self.scenario, name):
-                allowed = ", ".join(pilot_names(self.scenario, name))
-                raise ValueError(
-                    f"others: {name!r}: {pilot!r}: unknown; allowed: {allowed}, or a policy"
-                )
-            if name not in named and not callable(pilot):
-                raise ValueError(f"others: {name!r}: {pilot!r}: neither a name nor a policy")
-            if hasattr(pilot, "check"):  # policies of outrider_learning check the scenario
-                pilot.check(self.scenario)
 
     def state(self) -> Array:
         """Return the complete true states of all worlds, for centralized critics. Shape (num_envs, entries).

@@ -247,10 +247,9 @@ def _queue_ticks(parameters: LinkParameters, period: int) -> int | None:
     """Return the largest age of the newest detection behind a full queue, without delay; None: no queue forms."""
     if parameters.spacing <= period + TICK_TOLERANCE:
         return None
+    queue = parameters.settings.queue
     waits = (
-        (parameters.settings.queue - 1) * period + 1
-        if parameters.newest
-        else math.floor(parameters.settings.queue * parameters.spacing)
+        (queue - 1) * period + 1 if parameters.newest else math.floor(queue * parameters.spacing)
     )
     return waits + math.floor(parameters.spacing) - 1
 
@@ -258,7 +257,7 @@ def _queue_ticks(parameters: LinkParameters, period: int) -> int | None:
 def _uninspected(
     link: InspectedLink, window: IntArray, field: str, period: int = 1
 ) -> Iterator[Finding]:
-    """Find a bound of so many ticks that the link is not inspected."""
+    """Find a bound with too many ticks to inspect the link."""
     if too_many(link.parameters, window, ticks=link.scenario.ticks, period=period):
         cause = (
             f"dt = {exact(link.scenario.dt)} s: {link.path} was not inspected, as {len(window):,} ticks fit into "

@@ -227,7 +227,7 @@ class Batch:
         town.corners[world, : len(corners)] = corners
 
     def set_world(self, world: int, scenario: Scenario) -> None:
-        """Set the numbers of a restored world to those of its own scenario, whose arrays have the same shapes."""
+        """Give a restored world the numbers of this scenario, which needs arrays of the same shapes."""
         own, vehicles = first_vehicles(scenario), self.state.vehicles[world]
         for name in ("max_speed", "max_acceleration", "delay_ticks", "interval_ticks"):
             vehicles[name] = own[name]

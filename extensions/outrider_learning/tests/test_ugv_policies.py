@@ -201,7 +201,7 @@ def test_saved_policy_flies_the_bits_of_the_environment(here: Path, name: str) -
 @pytest.mark.parametrize("name", ["sb3:ppo:model.zip", "torch:model.pt"])
 def test_loaded_policy_uses_one_thread_of_torch(here: Path, name: str) -> None:
     load_policy(name, "ugv")
-    assert sys.modules["torch"].threads[-1] == 1
+    assert importlib.import_module("torch").threads[-1] == 1
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
