@@ -355,7 +355,10 @@ def test_a_model_of_another_input_is_refused() -> None:
     [
         ({"uav.0.max_speed": 0.7}, "uav_0: max_speed = 0.7: the policy was trained with 0.6"),
         ({"dt": 0.1, "detections.rate": 10.0}, "uav_0: dt = 0.1: the policy was trained with 0.05"),
-        ({"custom.uav_policy": "npz:none.npz"}, r"^custom.uav_policy = 'npz:none.npz': .*no such file"),
+        (
+            {"custom.uav_policy": "npz:none.npz"},
+            r"^custom.uav_policy = 'npz:none.npz': .*no such file",
+        ),
         ({"custom.uav_policy": "json:nothing"}, "^custom.uav_policy = 'json:nothing'"),
         ({"custom.uav_policy": "collections:Counter"}, "not a policy"),
         ({"custom.uav_policy": "mine.npz"}, "not a policy; allowed: module:function, npz:FILE"),
