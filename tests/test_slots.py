@@ -351,4 +351,7 @@ def test_vehicle_acts_once_on_each_observation_of_its_run(endpoint: str) -> None
         sight.send(part(observations[8], over=True))
         vehicle.join()
     assert answered in ([5, 6, 7], [5, 7], [6, 7], [7])  # it answers the newest observation
-    assert [seen.tick for seen in vehicle.seen] == [0, 1, 2, 3, 4, *answered]
+    acted = [seen.tick for seen in vehicle.seen]
+    # it may also act on a single observation that it missed, without sending the answer
+    assert acted in ([0, 1, 2, 3, 4, *later] for later in ([5, 6, 7], [5, 7], [6, 7], [7]))
+    assert set(answered) <= set(acted)
