@@ -16,6 +16,14 @@ from typing import Any, NamedTuple, TypeVar
 
 from bus import plugins
 from bus.errors import OutriderError
+from bus.messages.laws import (
+    CircleParameters,
+    CoverageParameters,
+    LawParameters,
+    LogarithmicParameters,
+    LookaheadParameters,
+    TrackingParameters,
+)
 from bus.plugins import load_all
 from bus.rows import DriverRow, HazardKindRow, LawRow, SensorRow
 
@@ -67,7 +75,13 @@ def _fault(row: LawRow | DriverRow | SensorRow, table: Mapping[str, object]) -> 
         return f"name = {row.name!r}: wrong form; allowed: up to 32 of a-z, 0-9 and _, the first a letter"
     if row.name in table:
         return f"name = {row.name!r}: the name is taken"
+    if isinstance(row, LawRow) and not _is_subclass(row.parameters, LawParameters):
+        return f"parameters = {row.parameters!r}: wrong type; allowed: a subclass of LawParameters"
     return ""
+
+
+def _is_subclass(found: object, base: type) -> bool:
+    return isinstance(found, type) and issubclass(found, base)
 
 
 def resolve(where: str) -> Any:  # noqa: ANN401 - whatever it is
@@ -129,6 +143,7 @@ LAWS = _extended(
     LawRow(
         name="tracking",
         module="agents.laws.tracking",
+        parameters=TrackingParameters,
         about="follow the UGV (15), (16)",
         needs_radius=False,
         color="#a0522d",
@@ -137,6 +152,7 @@ LAWS = _extended(
     LawRow(
         name="coverage",
         module="agents.laws.coverage",
+        parameters=CoverageParameters,
         about="cover the ground (6) to (11), without returning to the UGV",
         covers=True,
         needs_radius=False,
@@ -147,6 +163,7 @@ LAWS = _extended(
     LawRow(
         name="linear",
         module="agents.laws.linear",
+        parameters=CoverageParameters,
         about="tracking and coverage (17), weighted linearly by distance",
         covers=True,
         color="#2a9d8f",
@@ -154,6 +171,7 @@ LAWS = _extended(
     LawRow(
         name="switching",
         module="agents.laws.switching",
+        parameters=CoverageParameters,
         about="tracking or coverage, switched at r_s",
         covers=True,
         color="#8e5bb5",
@@ -162,6 +180,7 @@ LAWS = _extended(
     LawRow(
         name="logarithmic",
         module="agents.laws.logarithmic",
+        parameters=LogarithmicParameters,
         about="tracking and coverage, with an unbounded tracking weight towards r_s (19)",
         covers=True,
         color="#1f5fbf",
@@ -170,6 +189,7 @@ LAWS = _extended(
     LawRow(
         name="circle",
         module="agents.laws.circle",
+        parameters=CircleParameters,
         about="circle around the UGV (22) to (25)",
         color="#5b616b",
         mark="^",
@@ -177,6 +197,7 @@ LAWS = _extended(
     LawRow(
         name="weighted",
         module="agents.laws.weighted",
+        parameters=CoverageParameters,
         about="tracking and coverage, with your own weighting (custom.weighting)",
         covers=True,
         own="weighting",
@@ -185,6 +206,7 @@ LAWS = _extended(
     LawRow(
         name="path",
         module="agents.laws.path",
+        parameters=TrackingParameters,
         about="follow your own path relative to the UGV (custom.path)",
         own="path",
         color="#4bb3c9",
@@ -192,6 +214,7 @@ LAWS = _extended(
     LawRow(
         name="certified",
         module="agents.laws.logarithmic",
+        parameters=LogarithmicParameters,
         about="logarithmic, or your own policy (custom.uav_policy), with the safety filter",
         covers=True,
         inner="uav_policy",
@@ -202,6 +225,7 @@ LAWS = _extended(
     LawRow(
         name="lookahead",
         module="agents.laws.lookahead",
+        parameters=LookaheadParameters,
         about="best of many trajectories over the next seconds, with the safety filter",
         covers=True,
         watched=True,

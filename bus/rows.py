@@ -1,9 +1,12 @@
 """Rows of the registry: descriptions of laws, drivers, sensors and kinds of hazards.
 
-A package that adds a law, a driver or a sensor makes its row in a module that imports nothing else from Outrider.
+A package that adds a law, a driver or a sensor makes its row in a module that imports nothing else from Outrider but
+the parameters of laws, `bus.messages.laws`.
 """
 
 from dataclasses import dataclass
+
+from bus.messages.laws import LawParameters
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -12,7 +15,9 @@ class LawRow:
 
     name: str
     module: str = ""
-    """Module with `Parameters`, `Memory` and `command`; empty if the user's policy flies instead."""
+    """Module with `Memory` and `command`; empty if the user's policy flies instead."""
+    parameters: type[LawParameters] = LawParameters
+    """Class of its `[law.parameters]`."""
     about: str
     """One-line description for help texts."""
     covers: bool = False

@@ -135,7 +135,7 @@ def flown_law(scenario: Scenario, **changes: Any) -> FlownLaw:
     """Return the law of the scenario's UAV with changed parameters."""
     module = import_module(LAWS[scenario.law.name].module)
     (uav,) = records(UavParameters, [uav_parameters(briefing_of(scenario))._replace(**changes)])
-    (law,) = records(module.Parameters, [law_parameters(scenario.law)])
+    (law,) = records(LAWS[scenario.law.name].parameters, [law_parameters(scenario.law)])
     return FlownLaw(module, uav, law, fresh(module.Memory)[0])
 
 

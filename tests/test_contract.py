@@ -1,5 +1,6 @@
 """The information contract, layers one and two: types and imports. These tests try to break it."""
 
+import json
 import re
 import shutil
 import sys
@@ -22,7 +23,7 @@ from bus.messages.vehicle import (
     UgvObservation,
 )
 from fields import fields_within
-from processes import loaded_by, ran
+from processes import loaded_by, python, ran
 from tabular import words
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -170,6 +171,33 @@ def test_vehicle_process_loads_neither_world_nor_scenario() -> None:
             loaded = {name for name in all_loaded if name.startswith("sim.")}
             assert loaded, modules
             assert loaded <= ON_BOARD | ROOMS | more, modules
+
+
+LAYERS = ("bus", "sim", "agents", "outrider")
+"""The packages of the core: each may load those before it."""
+LOADS = """
+import json, pkgutil, sys
+from importlib import import_module
+
+for layer in sys.argv[1:]:
+    for module in pkgutil.walk_packages(import_module(layer).__path__, layer + "."):
+        if not module.name.endswith("__main__"):
+            import_module(module.name)
+if layer == "sim":
+    from sim.scenario.loading import load_scenario, scenario_names
+    for name in scenario_names():
+        load_scenario(name)
+print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules})))
+"""
+"""Imports all modules of packages; after those of the simulator, it loads all shipped scenarios."""
+
+
+@pytest.mark.parametrize("layer", LAYERS[:-1])
+def test_a_package_never_loads_a_later_one(layer: str) -> None:
+    """Neither when its modules are imported nor when a scenario is loaded and checked."""
+    loaded = set(json.loads(python(LOADS, layer).stdout))
+    assert layer in loaded
+    assert not loaded & set(LAYERS[LAYERS.index(layer) + 1 :])
 
 
 def test_every_key_has_one_writer_and_other_readers() -> None:

@@ -3,21 +3,12 @@ r"""Law `circle`: circle around the UGV, Klodt 2015, eq. (22) to (25)."""
 import math
 
 from agents.control.orbit import circle, orbit_control
-from agents.laws.common import TrackingMemory, TrackingParameters, tracking_term
+from agents.laws.common import TrackingMemory, tracking_term
 from agents.uav_parameters import Target, UavParameters
-from bus.messages.base import Coordinate, Positive
+from bus.messages.laws import CircleParameters
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
-
-
-class Parameters(TrackingParameters, frozen=True, kw_only=True):
-    """`[law.parameters]` of this law."""
-
-    circle_radius: Positive = math.inf
-    """r_pv of (25) [m]; defaults to the switching radius."""
-    circle_rate: Coordinate = 0.1
-    """omega_pv of (25) [rad/s]; negative: clockwise."""
 
 
 Memory = TrackingMemory
@@ -26,7 +17,7 @@ Memory = TrackingMemory
 @compiled
 def command(
     uav: UavParameters,
-    law: Parameters,
+    law: CircleParameters,
     memory: Memory,
     coverage: FloatArray,
     tick: int,

@@ -1,9 +1,8 @@
-"""Shared parts of the laws: parameters, memories, and the two terms of (17)."""
+"""Shared parts of the laws: memories, and the two terms of (17)."""
 
 import math
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from agents.control.coverage import (
@@ -19,7 +18,8 @@ from agents.control.nearest_point import is_uncovered, nearest_uncovered
 from agents.control.tracking import tracking_output, tracking_step
 from agents.control.weighting import combine
 from agents.uav_parameters import Target, UavParameters
-from bus.messages.base import Coordinate, Positive, Vector
+from bus.messages.base import Vector
+from bus.messages.laws import CoverageParameters, TrackingParameters
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.field import coverage_gradient
 from sim.models.randomness import FIRST, START_DIRECTION, uniform
@@ -28,32 +28,6 @@ from sim.models.vehicles import Motion, norm
 
 _ON_THE_SPOT = 1e-9
 """Distance below which a point gives no direction [m]."""
-
-
-class LawParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of every law's `[law.parameters]`."""
-
-
-class TrackingParameters(LawParameters, frozen=True, kw_only=True):
-    """Gains of the tracking law (15)."""
-
-    a_c: Coordinate = -3.0
-    """A_c [1/s]."""
-    b_c: Coordinate = -3.0
-    """B_c [1/s]."""
-    c_c: Coordinate = -8.0 / 3.0
-    """C_c [1/s²]."""
-    d_c: Coordinate = -3.0
-    """D_c [1/s²]."""
-
-
-class CoverageParameters(TrackingParameters, frozen=True, kw_only=True):
-    """Gains of tracking and of the coverage law (6) to (11)."""
-
-    speed_gain: Positive = 10.0
-    """k_v of (11) [1/s]."""
-    reference_speed: Positive = math.inf
-    """v_ref of (10) [m/s]; defaults to the UAV's maximum speed."""
 
 
 class TrackingMemory:

@@ -1,21 +1,18 @@
 r"""Law `coverage`: covers ground by (6) to (11), without tracking the UGV."""
 
-from agents.laws.common import CoverageMemory, CoverageParameters, weighted_command
+from agents.laws.common import CoverageMemory, weighted_command
 from agents.uav_parameters import Target, UavParameters
+from bus.messages.laws import CoverageParameters
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
-
-
-class Parameters(CoverageParameters, frozen=True, kw_only=True):
-    """`[law.parameters]` of this law; the tracking gains keep the state of (15) ready for a later law."""
 
 
 Memory = CoverageMemory
 
 
 @compiled
-def weights(uav: UavParameters, law: Parameters, distance: float) -> tuple[float, float]:
+def weights(uav: UavParameters, law: CoverageParameters, distance: float) -> tuple[float, float]:
     """Return the weights alpha and beta of (17): coverage alone."""
     return 0.0, 1.0
 
@@ -23,7 +20,7 @@ def weights(uav: UavParameters, law: Parameters, distance: float) -> tuple[float
 @compiled
 def command(
     uav: UavParameters,
-    law: Parameters,
+    law: CoverageParameters,
     memory: Memory,
     coverage: FloatArray,
     tick: int,

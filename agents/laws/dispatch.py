@@ -22,7 +22,7 @@ from sim.models.vehicles import Motion, brake, clip_norm
 
 _USABLE = usable(
     (row for row in LAWS.values() if row.module and not row.own),
-    lambda row: module_of(row, "Parameters", "Memory", "command"),
+    lambda row: module_of(row, "Memory", "command"),
 )
 _ROWS = {name: LAWS[name] for name in _USABLE}
 _FILES = tuple(dict.fromkeys(row.module for row in _ROWS.values()))
@@ -30,6 +30,8 @@ CODES = {name: _FILES.index(row.module) for name, row in _ROWS.items()}
 """Index of the file of each law that flies in batches."""
 _MODULES = {row.module.replace(".", "_"): _USABLE[name] for name, row in _ROWS.items()}
 """Module of each law by the name of its nested record, in the order of its code."""
+_PARAMETERS = {row.module.replace(".", "_"): row.parameters for row in reversed(_ROWS.values())}
+"""Class of the parameters of each law by the same name."""
 _SEPARATE = {CODES[name] for name, row in _ROWS.items() if row.separate}
 _law_command = commands({name: module.command for name, module in _MODULES.items()})
 
@@ -42,7 +44,7 @@ class LawTables(NamedTuple):
     uavs: RecordArray
     """`UavParameters`. Shape (UAVs,)."""
     parameters: RecordArray
-    """`Parameters` of each law that the batch contains, nested by name. Shape (UAVs,)."""
+    """Parameters of each law that the batch contains, nested by name. Shape (UAVs,)."""
 
 
 def _contained(codes: IntArray) -> dict[str, int]:
@@ -59,7 +61,7 @@ def _contained(codes: IntArray) -> dict[str, int]:
 def law_tables(briefings: Sequence[UavBriefing], laws: Sequence[Law]) -> LawTables:
     """Return the tables of the UAVs with these briefings, each with its law, a key of `CODES`."""
     codes = np.array([CODES[law.name] for law in laws], dtype=np.int64)
-    kinds = {name: _MODULES[name].Parameters for name in _contained(codes)}
+    kinds = {name: _PARAMETERS[name] for name in _contained(codes)}
     table = np.zeros(len(laws), nested_type(kinds))
     for name, code in _contained(codes).items():
         own = [k for k, other in enumerate(codes) if other == code]

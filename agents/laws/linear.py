@@ -1,22 +1,19 @@
 r"""Law `linear`: both terms, weighted in proportion to the distance, Klodt 2015, eq. (17)."""
 
 from agents.control.weighting import linear_weights
-from agents.laws.common import CoverageMemory, CoverageParameters, distance_to, weighted_command
+from agents.laws.common import CoverageMemory, distance_to, weighted_command
 from agents.uav_parameters import Target, UavParameters
+from bus.messages.laws import CoverageParameters
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
-
-
-class Parameters(CoverageParameters, frozen=True, kw_only=True):
-    """`[law.parameters]` of this law."""
 
 
 Memory = CoverageMemory
 
 
 @compiled
-def weights(uav: UavParameters, law: Parameters, distance: float) -> tuple[float, float]:
+def weights(uav: UavParameters, law: CoverageParameters, distance: float) -> tuple[float, float]:
     """Return alpha and beta at this distance [m]."""
     return linear_weights(distance, uav.switching_radius)
 
@@ -24,7 +21,7 @@ def weights(uav: UavParameters, law: Parameters, distance: float) -> tuple[float
 @compiled
 def command(
     uav: UavParameters,
-    law: Parameters,
+    law: CoverageParameters,
     memory: Memory,
     coverage: FloatArray,
     tick: int,

@@ -1,28 +1,19 @@
 r"""Law `logarithmic`: tracking, and coverage that vanishes logarithmically at r_s, Klodt 2015, eq. (17), (19)."""
 
 from agents.control.weighting import logarithmic_weights
-from agents.laws.common import CoverageMemory, CoverageParameters, distance_to, weighted_command
+from agents.laws.common import CoverageMemory, distance_to, weighted_command
 from agents.uav_parameters import Target, UavParameters
-from bus.messages.base import Positive
+from bus.messages.laws import LogarithmicParameters
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
-
-
-class Parameters(CoverageParameters, frozen=True, kw_only=True):
-    """`[law.parameters]` of this law."""
-
-    weight_gain: Positive = 20.0
-    """Gain k_beta of eq. (19) [1]."""
-    weight_limit: Positive = 100.0
-    """Upper limit of beta_3 [1], footnote 2 of the paper."""
 
 
 Memory = CoverageMemory
 
 
 @compiled
-def weights(uav: UavParameters, law: Parameters, distance: float) -> tuple[float, float]:
+def weights(uav: UavParameters, law: LogarithmicParameters, distance: float) -> tuple[float, float]:
     """Return alpha and beta at this distance [m]."""
     return logarithmic_weights(distance, uav.switching_radius, law.weight_gain, law.weight_limit)
 
@@ -30,7 +21,7 @@ def weights(uav: UavParameters, law: Parameters, distance: float) -> tuple[float
 @compiled
 def command(
     uav: UavParameters,
-    law: Parameters,
+    law: LogarithmicParameters,
     memory: Memory,
     coverage: FloatArray,
     tick: int,

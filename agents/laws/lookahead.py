@@ -11,14 +11,12 @@ import math
 from typing import Annotated, Any
 
 import numpy as np
-from msgspec import Meta
 
 from agents.laws.candidates import worth
-from agents.laws.common import LawParameters
 from agents.laws.hidden_ground import empty_views
 from agents.laws.horizon import LEGS, PERIOD, WINDOW, Ahead, copy, leg_ticks, look_ahead
 from agents.uav_parameters import Target, UavParameters
-from bus.messages.base import Positive
+from bus.messages.laws import LookaheadParameters
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.randomness import LOOKAHEAD_MOTION, Key, draw, to_uniform
 from sim.models.shadows import Occlusion
@@ -31,17 +29,6 @@ _LAG = 10
 _FORGET = 0.98
 _FIRST_PERSISTENCE, _FIRST_WEIGHT = 20.0, 5.0  # prior [s], and its weight in pairs
 _LEAST_ALIKE, _MOST_ALIKE = 0.05, 0.92  # correlations of 1.7 s and 60 s
-
-
-class Parameters(LawParameters, frozen=True, kw_only=True):
-    """`[law.parameters]` of this law."""
-
-    reference_speed: Positive = math.inf
-    """v_ref: largest planned speed [m/s]; defaults to the UAV's maximum speed."""
-    horizon: Annotated[float, Meta(ge=0.5, le=60.0)] = 15.0
-    """Prediction horizon [s]; 0.5: one step."""
-    candidates: Annotated[int, Meta(ge=1, le=10_000)] = 800
-    """Number of candidates compared every half second; 1: fly randomly drawn trajectories without comparison."""
 
 
 class Memory:
@@ -175,7 +162,7 @@ def recall(memory: Memory, now: int, motion: FloatArray) -> None:
 @compiled
 def decide(
     uav: UavParameters,
-    law: Parameters,
+    law: LookaheadParameters,
     memory: Memory,
     coverage: FloatArray,
     tick: int,
@@ -215,7 +202,7 @@ def decide(
 @compiled
 def command(
     uav: UavParameters,
-    law: Parameters,
+    law: LookaheadParameters,
     memory: Memory,
     coverage: FloatArray,
     tick: int,

@@ -1,16 +1,13 @@
 r"""Law `path`: a user's path beside the UGV, Klodt 2015, eq. (20) to (24)."""
 
 from agents.control.orbit import orbit_control
-from agents.laws.common import TrackingMemory, TrackingParameters, tracking_term
+from agents.laws.common import TrackingMemory, tracking_term
 from agents.uav_parameters import Target, UavParameters
 from bus.messages.base import Vector
+from bus.messages.laws import TrackingParameters
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
-
-
-class Parameters(TrackingParameters, frozen=True, kw_only=True):
-    """`[law.parameters]` of this law."""
 
 
 class Memory(TrackingMemory):
@@ -25,7 +22,7 @@ class Memory(TrackingMemory):
 @compiled
 def command(
     uav: UavParameters,
-    law: Parameters,
+    law: TrackingParameters,
     memory: Memory,
     coverage: FloatArray,
     tick: int,

@@ -56,7 +56,7 @@ class SelectedLaw:
             for name in set(kept.dtype.names) & set(memory.dtype.names):
                 memory[name] = kept[name]
         own = records(UavParameters, [uav])
-        parameters = records(module.Parameters, [law_parameters(law)])
+        parameters = records(self.row.parameters, [law_parameters(law)])
         # Arrays of one row: a single row becomes read-only when pickled.
         self._command, self._fixed = module.command, (own, parameters, memory)
 

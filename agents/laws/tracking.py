@@ -1,21 +1,18 @@
 r"""Law `tracking`: tracks the UGV, Klodt 2015, eq. (15) and (16)."""
 
-from agents.laws.common import TrackingMemory, TrackingParameters, tracking_term
+from agents.laws.common import TrackingMemory, tracking_term
 from agents.uav_parameters import Target, UavParameters
+from bus.messages.laws import TrackingParameters
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
-
-
-class Parameters(TrackingParameters, frozen=True, kw_only=True):
-    """`[law.parameters]` of this law."""
 
 
 Memory = TrackingMemory
 
 
 @compiled
-def weights(uav: UavParameters, law: Parameters, distance: float) -> tuple[float, float]:
+def weights(uav: UavParameters, law: TrackingParameters, distance: float) -> tuple[float, float]:
     """Return the weights alpha and beta of (17): tracking alone."""
     return 1.0, 0.0
 
@@ -23,7 +20,7 @@ def weights(uav: UavParameters, law: Parameters, distance: float) -> tuple[float
 @compiled
 def command(
     uav: UavParameters,
-    law: Parameters,
+    law: TrackingParameters,
     memory: Memory,
     coverage: FloatArray,
     tick: int,

@@ -1,14 +1,11 @@
 r"""Law `weighted`: both terms of (17), weighted by a user's function."""
 
-from agents.laws.common import CoverageMemory, CoverageParameters, weighted_command
+from agents.laws.common import CoverageMemory, weighted_command
 from agents.uav_parameters import Target, UavParameters
+from bus.messages.laws import CoverageParameters
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
-
-
-class Parameters(CoverageParameters, frozen=True, kw_only=True):
-    """`[law.parameters]` of this law."""
 
 
 class Memory(CoverageMemory):
@@ -21,7 +18,7 @@ class Memory(CoverageMemory):
 @compiled
 def command(
     uav: UavParameters,
-    law: Parameters,
+    law: CoverageParameters,
     memory: Memory,
     coverage: FloatArray,
     tick: int,

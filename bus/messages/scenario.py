@@ -76,7 +76,7 @@ class Law(Message, frozen=True, kw_only=True):
     name: Name = DEFAULT_LAW
     """Name, a row of `bus.registry.LAWS`."""
     parameters: Annotated[dict[Text, LawNumber], Meta(max_length=64)] = {}
-    """Parameters by name, fields of `Parameters` in the law's file; parameters of other laws have no effect."""
+    """Parameters by name, fields of the class in the law's row; parameters of other laws have no effect."""
 
     def __hash__(self) -> int:
         return hash((self.name, tuple(sorted(self.parameters.items()))))

@@ -6,7 +6,6 @@ import msgspec
 from msgspec import inspect as types
 from structs import Field, cell, fields, structs, text_of, words
 
-from bus.law_parameters import parameters_class
 from bus.registry import LAWS
 from sim.scenario.loading import load_scenario, scenario_names
 from sim.scenario.types import Scenario
@@ -22,10 +21,9 @@ def _law_parameters() -> str:
     """Return the parameters of all laws in one table."""
     laws: dict[str, list[str]] = {}
     rows: dict[str, Field] = {}
-    for name in LAWS:
-        parameters = parameters_class(name)
-        for field in () if parameters is None else fields(parameters):
-            laws.setdefault(field.name, []).append(f"`{name}`")
+    for law in LAWS.values():
+        for field in fields(law.parameters):
+            laws.setdefault(field.name, []).append(f"`{law.name}`")
             rows.setdefault(field.name, field)
     lines = ["| field | laws | type | default | description |", "|---|---|---|---|---|"]
     for name, field in rows.items():

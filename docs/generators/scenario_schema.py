@@ -14,7 +14,6 @@ from typing import Any
 
 import msgspec
 
-from bus.law_parameters import parameters_class
 from bus.messages import links, scenario
 from bus.messages.links import LinkKind
 from bus.profiles import PROFILES
@@ -81,10 +80,8 @@ def scenario_schema() -> dict[str, Any]:
 def law_parameters_schema() -> dict[str, Any]:
     """Return the parameters of all laws by name; a name has the same meaning in every law."""
     found: dict[str, Any] = {}
-    for name in LAWS:
-        parameters = parameters_class(name)
-        if parameters is None:
-            continue
+    for law in LAWS.values():
+        parameters = law.parameters
         (table,) = msgspec.json.schema(parameters)["$defs"].values()
         docs = field_docs(parameters)
         for field, entry in table["properties"].items():

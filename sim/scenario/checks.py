@@ -8,7 +8,6 @@ from bus.law_parameters import (
     law_parameters,
     own_parameters,
     parameter_names,
-    parameters_class,
     unknown_parameters,
 )
 from bus.numbers import above, at_least, at_most, exact
@@ -133,11 +132,9 @@ def law_parameters_are_possible(scenario: Scenario) -> Iterator[Fault]:
     for name in unknown_parameters(law):
         wrong = f"unknown parameter{near(name, own)}"
         yield Fault(f"{_PARAMETERS}.{name}", law.parameters[name], wrong, ", ".join(own) or "none")
-    parameters = parameters_class(law.name)
-    if parameters is not None:
-        fault = type_fault(dict(own_parameters(law)), parameters)
-        if fault is not None:
-            yield fault._replace(field=f"{_PARAMETERS}.{fault.field}".rstrip("."))
+    fault = type_fault(dict(own_parameters(law)), LAWS[law.name].parameters)
+    if fault is not None:
+        yield fault._replace(field=f"{_PARAMETERS}.{fault.field}".rstrip("."))
 
 
 def reference_speed_is_possible(scenario: Scenario) -> Iterator[Fault]:
