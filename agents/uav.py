@@ -8,6 +8,7 @@ from agents.estimation.estimator import Estimate, estimator_of
 from agents.estimation.map_updates import MapUpdateScheduler
 from agents.estimation.own_map import cover_buildings, own_map
 from agents.height import HeightControl
+from agents.laws.inputs import LawInputs
 from agents.laws.policy import PolicyControl, TargetEstimate, UavPolicy
 from agents.laws.selection import SelectedLaw
 from agents.safety.safety_filter import SafetyFilter
@@ -220,7 +221,8 @@ class UavPilot:
             u_x, u_y = brake(own.v_x, own.v_y, uav.max_acceleration, uav.dt)
             return u_x, u_y
         self._call_user_function(observation)
-        u_x, u_y = self._law.command(self.coverage, observation.tick, own, target, self._occlusion)
+        inputs = LawInputs(self.coverage, observation.tick, own, target, self._occlusion)
+        u_x, u_y = self._law.command(inputs)
         u_x, u_y = clip_norm(u_x, u_y, uav.max_acceleration)
         return u_x, u_y
 

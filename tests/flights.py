@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from agents.laws.inputs import LawInputs
 from agents.process import Pilot
 from agents.safety.handover import certificate
 from agents.uav_parameters import Target, UavParameters, uav_parameters
@@ -33,7 +34,6 @@ from sim.compiling.compile import FloatArray
 from sim.compiling.records import fresh, records
 from sim.engine.briefing import uav_briefing
 from sim.models.safety import SafetyBounds, safety_bounds
-from sim.models.vehicles import Motion
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario, Uav, Ugv
 from sim.server.flight import Flight
@@ -122,9 +122,9 @@ class FlownLaw(NamedTuple):
     law: Any
     memory: Any
 
-    def command(self, coverage: FloatArray, tick: int, own: Motion, target: Target) -> Any:
+    def command(self, inputs: LawInputs) -> Any:
         """Return the nominal command."""
-        return self.module.command(*self[1:], coverage, tick, own, target)
+        return self.module.command(*self[1:], inputs)
 
     def weights(self, distance: float) -> tuple[float, float]:
         """Return alpha and beta."""

@@ -16,6 +16,7 @@ from agents.control.coverage import (
     velocity_error,
 )
 from agents.laws.common import coverage_term
+from agents.laws.inputs import LawInputs
 from agents.uav import UavPilot
 from bus.messages.scenario import Area, Law, Sensor
 from bus.registry import SENSORS
@@ -123,16 +124,17 @@ def test_coverage_around_a_standing_ugv_completes(k_v, sensor, limits):
 
 def test_over_covered_ground_the_law_brakes_with_its_gain() -> None:
     c, coverage = flown_law(escort("coverage")), np.full((160, 160), DESIRED)
-    found = coverage_term(*c[1:], coverage, 0, Motion(*HERE, 0.3, -0.2), target_at(21.0, 20.0))
+    inputs = LawInputs(coverage, 0, Motion(*HERE, 0.3, -0.2), target_at(21.0, 20.0))
+    found = coverage_term(*c[1:], inputs)
     k_v = c.law["speed_gain"]
     assert found == pytest.approx((-k_v * 0.3, k_v * 0.2), rel=1e-15)
 
 
 def test_the_gain_of_the_gradient_drops_out() -> None:
     coverage = np.random.default_rng(1).uniform(0.0, 2.0, (160, 160))
-    inputs = coverage, 0, Motion(21.0, 22.0, 0.1, 0.0), target_at(*HERE)
+    inputs = LawInputs(coverage, 0, Motion(21.0, 22.0, 0.1, 0.0), target_at(*HERE))
     one, ten = (
-        coverage_term(*flown_law(escort("coverage"), sensor=sensor)[1:], *inputs)
+        coverage_term(*flown_law(escort("coverage"), sensor=sensor)[1:], inputs)
         for sensor in (SensorParameters(0, peak, 5.0) for peak in (1.0, 10.0))
     )
     assert one == pytest.approx(ten, rel=1e-12)

@@ -18,6 +18,7 @@ from agents.control.tracking import (
     tracking_output,
     tracking_step,
 )
+from agents.laws.inputs import LawInputs
 from bus.law_parameters import law_parameters
 from bus.messages.scenario import Law
 from flights import (
@@ -139,5 +140,6 @@ def test_tracking_keeps_integrating_while_its_weight_is_zero(law: str) -> None:
     share = np.exp(A_C * age) * (np.exp(A_C * DT) - 1.0) / A_C * B_C
     c, coverage = flown_law(escort(law)), empty_coverage(40.0, 40.0, 0.25)
     for tick, (x, y) in enumerate(positions.tolist()):
-        c.command(coverage, tick, Motion(HERE[0] + x, HERE[1] + y, 0.1, 0.0), target_at(*HERE))
+        own = Motion(HERE[0] + x, HERE[1] + y, 0.1, 0.0)
+        c.command(LawInputs(coverage, tick, own, target_at(*HERE)))
     np.testing.assert_allclose(c.memory["x_c"], share @ positions, rtol=1e-10)

@@ -20,6 +20,7 @@ from agents.control.weighting import (
     switching_weights,
 )
 from agents.laws.common import coverage_term
+from agents.laws.inputs import LawInputs
 from bus.errors import ScenarioError
 from bus.messages.scenario import Law
 from flights import HERE, R_S, escort, flown_law, target_at
@@ -89,11 +90,11 @@ def test_every_law_weighs_the_same_two_terms(law: str, place: tuple[float, float
     elif law != "coverage":
         weights = c.weights(norm(place[0] - HERE[0], place[1] - HERE[1]))
     x, y = place[0] - HERE[0], place[1] - HERE[1]
-    inputs = coverage, 3, Motion(*place, 0.2, 0.1), target_at(*HERE)
+    inputs = LawInputs(coverage, 3, Motion(*place, 0.2, 0.1), target_at(*HERE))
     tracking = tracking_output(0.4, -1.0, x, y, c.law["c_c"], c.law["d_c"])
-    covering = coverage_term(c.uav, c.law, c.memory.copy(), *inputs)
+    covering = coverage_term(c.uav, c.law, c.memory.copy(), inputs)
     wanted = combine(*weights, *tracking, *covering)
-    assert c.command(*inputs) == pytest.approx(wanted, rel=1e-12)
+    assert c.command(inputs) == pytest.approx(wanted, rel=1e-12)
 
 
 def _linear(distance: float, r_s: float) -> tuple[float, float]:

@@ -17,13 +17,13 @@ from agents.control.coverage import (
 from agents.control.nearest_point import is_uncovered, nearest_uncovered
 from agents.control.tracking import tracking_output, tracking_step
 from agents.control.weighting import combine
+from agents.laws.inputs import LawInputs
 from agents.uav_parameters import Target, UavParameters
 from bus.messages.base import Vector
 from bus.messages.laws import CoverageParameters, TrackingParameters
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.field import coverage_gradient
 from sim.models.randomness import FIRST, START_DIRECTION, uniform
-from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion, norm
 
 _ON_THE_SPOT = 1e-9
@@ -107,13 +107,10 @@ def coverage_velocity_error(
     uav: UavParameters,
     law: CoverageParameters,
     memory: CoverageMemory,
-    coverage: FloatArray,
-    tick: int,
-    own: Motion,
-    target: Target,
-    occlusion: Occlusion | None = None,
+    inputs: LawInputs,
 ) -> tuple[float, float]:
     """Return e_vel of (10) [m/s]: along (6), or along (7) if (6) is zero."""
+    coverage, tick, own, target, occlusion = inputs
     u_cov_x, u_cov_y, size = coverage_gradient(
         coverage,
         own.p_x,
@@ -148,17 +145,15 @@ def coverage_term(
     uav: UavParameters,
     law: CoverageParameters,
     memory: CoverageMemory,
-    coverage: FloatArray,
-    tick: int,
-    own: Motion,
-    target: Target,
-    occlusion: Occlusion | None = None,
+    inputs: LawInputs,
 ) -> tuple[float, float]:
-    """Return u_a,cov [m/s²] of (6) to (11), kept inside Q. Arguments as in a law's `command`."""
-    e_x, e_y = coverage_velocity_error(uav, law, memory, coverage, tick, own, target, occlusion)
+    """Return u_a,cov [m/s²] of (6) to (11), kept inside Q."""
+    e_x, e_y = coverage_velocity_error(uav, law, memory, inputs)
     u_x, u_y = coverage_control(e_x, e_y, law.speed_gain)
     margin = border_margin(uav, law.reference_speed)
-    return keep_off_border(u_x, u_y, own, law.speed_gain, uav.width, uav.height, margin, uav.dt)
+    return keep_off_border(
+        u_x, u_y, inputs.own, law.speed_gain, uav.width, uav.height, margin, uav.dt
+    )
 
 
 @compiled
@@ -166,17 +161,14 @@ def weighted_command(
     uav: UavParameters,
     law: CoverageParameters,
     memory: CoverageMemory,
-    coverage: FloatArray,
-    tick: int,
-    own: Motion,
-    target: Target,
+    inputs: LawInputs,
     weights: tuple[float, float],
-    occlusion: Occlusion | None = None,
 ) -> tuple[float, float]:
-    """Return the combined command (17) [m/s²]. Arguments as in a law's `command`, and the weights alpha, beta."""
+    """Return the combined command (17) [m/s²] with the weights alpha, beta."""
+    own, target = inputs.own, inputs.target
     x, y = own.p_x - target.p_x, own.p_y - target.p_y
     u_tr_x, u_tr_y = tracking_term(law, memory, uav.dt, x, y)
-    u_cov_x, u_cov_y = coverage_term(uav, law, memory, coverage, tick, own, target, occlusion)
+    u_cov_x, u_cov_y = coverage_term(uav, law, memory, inputs)
     return combine(weights[0], weights[1], u_tr_x, u_tr_y, u_cov_x, u_cov_y)
 
 

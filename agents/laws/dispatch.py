@@ -9,16 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.uav_parameters import Target, UavParameters, uav_parameters
+from agents.laws.inputs import LawInputs
+from agents.uav_parameters import UavParameters, uav_parameters
 from bus.law_parameters import law_parameters
 from bus.messages.scenario import Law
 from bus.messages.vehicle import UavBriefing
 from bus.registry import LAWS, module_of, usable
-from sim.compiling.compile import FloatArray, IntArray, compiled
+from sim.compiling.compile import IntArray, compiled
 from sim.compiling.dispatch import commands
 from sim.compiling.records import RecordArray, fresh_nested, nested_type, records
-from sim.models.shadows import Occlusion
-from sim.models.vehicles import Motion, brake, clip_norm
+from sim.models.vehicles import brake, clip_norm
 
 _USABLE = usable(
     (row for row in LAWS.values() if row.module and not row.own),
@@ -83,11 +83,7 @@ def nominal_command(
     uav: UavParameters,
     memories: RecordArray,
     place: tuple[int, int],
-    coverage: FloatArray,
-    tick: int,
-    own: Motion,
-    target: Target,
-    occlusion: Occlusion | None = None,
+    inputs: LawInputs,
 ) -> tuple[float, float]:
     """Return the command of a UAV from its law, within the bound of (1) [m/s²]; without an estimate, brake.
 
@@ -96,15 +92,11 @@ def nominal_command(
         uav: Constants of this UAV, with its sensor at its altitude.
         memories: Memories of the laws, changed in place.
         place: World and UAV.
-        coverage: The UAV's coverage grid C. Shape (rows, columns).
-        tick: Current tick.
-        own: State of the UAV.
-        target: Estimate of the UGV.
-        occlusion: Known buildings as the UAV sees them; None: there are none.
+        inputs: Knowledge of the UAV; its estimate of the UGV may be unknown.
     """
-    row = place[1]
-    if not target.known:
+    row, own = place[1], inputs.own
+    if not inputs.target.known:
         return brake(own.v_x, own.v_y, uav.max_acceleration, uav.dt)
-    inputs = coverage, tick, own, target, occlusion
-    u_x, u_y = _law_command(tables.codes[row], uav, tables.parameters[row], memories[place], inputs)
+    code, parameters = tables.codes[row], tables.parameters[row]
+    u_x, u_y = _law_command(code, uav, parameters, memories[place], (inputs,))
     return clip_norm(u_x, u_y, uav.max_acceleration)

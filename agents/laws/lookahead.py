@@ -15,11 +15,11 @@ import numpy as np
 from agents.laws.candidates import worth
 from agents.laws.hidden_ground import empty_views
 from agents.laws.horizon import LEGS, PERIOD, WINDOW, Ahead, copy, leg_ticks, look_ahead
+from agents.laws.inputs import LawInputs
 from agents.uav_parameters import Target, UavParameters
 from bus.messages.laws import LookaheadParameters
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.randomness import LOOKAHEAD_MOTION, Key, draw, to_uniform
-from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion, clip_norm, norm
 
 _SLOTS = LEGS + 1  # legs in memory: a decision may be due within the first leg
@@ -164,16 +164,13 @@ def decide(
     uav: UavParameters,
     law: LookaheadParameters,
     memory: Memory,
-    coverage: FloatArray,
-    tick: int,
-    own: Motion,
-    target: Target,
-    occlusion: Occlusion | None = None,
+    inputs: LawInputs,
 ) -> None:
     """Choose the trajectory to fly, the current one or its best variant, and store it in the memory.
 
     A single candidate is not compared: it is flown to its end, then the next is drawn.
     """
+    coverage, tick, own, target, occlusion = inputs
     v_ref, persistence = min(law.reference_speed, uav.max_speed), learn_persistence(memory, target)
     ahead = look_ahead(uav, law.horizon, v_ref, coverage, tick, target, persistence)
     key = memory.key_0, memory.key_1
@@ -204,15 +201,12 @@ def command(
     uav: UavParameters,
     law: LookaheadParameters,
     memory: Memory,
-    coverage: FloatArray,
-    tick: int,
-    own: Motion,
-    target: Target,
-    occlusion: Occlusion | None = None,
+    inputs: LawInputs,
 ) -> tuple[float, float]:
-    """Return the nominal command [m/s²], before the bound of (1). Arguments as in every law's `command`."""
+    """Return the acceleration that reaches the velocity of the chosen trajectory in a tick [m/s²]."""
+    tick, own = inputs.tick, inputs.own
     if tick >= memory.due:
-        decide(uav, law, memory, coverage, tick, own, target, occlusion)
+        decide(uav, law, memory, inputs)
         period = max(1, round(PERIOD / uav.dt))
         memory.due = (tick // period + 1) * period
     velocities: Any = memory.velocities

@@ -3,18 +3,16 @@
 from typing import Any
 
 from agents.control.visibility import switching_radius
-from agents.uav_parameters import Target, UavParameters
+from agents.laws.inputs import LawInputs
+from agents.uav_parameters import UavParameters
 from bus.errors import ScenarioError
 from bus.law_parameters import law_parameters
 from bus.messages.scenario import Law
 from bus.messages.vehicle import UavBriefing
 from bus.registry import LAWS, module_of
-from sim.compiling.compile import FloatArray
 from sim.compiling.records import fill, fresh, records
 from sim.models.randomness import words_of
 from sim.models.sensor import SensorParameters
-from sim.models.shadows import Occlusion
-from sim.models.vehicles import Motion
 
 
 class SelectedLaw:
@@ -70,15 +68,8 @@ class SelectedLaw:
         if self.row.module:
             fill(self._fixed[0][0]["sensor"], sensor)
 
-    def command(
-        self,
-        coverage: FloatArray,
-        tick: int,
-        own: Motion,
-        target: Target,
-        occlusion: Occlusion | None = None,
-    ) -> tuple[float, float]:
-        """Return the nominal command [m/s²], before the bound of (1). Arguments as in a law's `command`."""
-        fixed = (rows[0] for rows in self._fixed)
-        u_x, u_y = self._command(*fixed, coverage, tick, own, target, occlusion)
+    def command(self, inputs: LawInputs) -> tuple[float, float]:
+        """Return the nominal command [m/s²], before the bound of (1)."""
+        uav, parameters, memory = (rows[0] for rows in self._fixed)
+        u_x, u_y = self._command(uav, parameters, memory, inputs)
         return u_x, u_y

@@ -1,12 +1,10 @@
 r"""Law `tracking`: tracks the UGV, Klodt 2015, eq. (15) and (16)."""
 
 from agents.laws.common import TrackingMemory, tracking_term
-from agents.uav_parameters import Target, UavParameters
+from agents.laws.inputs import LawInputs
+from agents.uav_parameters import UavParameters
 from bus.messages.laws import TrackingParameters
-from sim.compiling.compile import FloatArray, compiled
-from sim.models.shadows import Occlusion
-from sim.models.vehicles import Motion
-
+from sim.compiling.compile import compiled
 
 Memory = TrackingMemory
 
@@ -22,23 +20,9 @@ def command(
     uav: UavParameters,
     law: TrackingParameters,
     memory: Memory,
-    coverage: FloatArray,
-    tick: int,
-    own: Motion,
-    target: Target,
-    occlusion: Occlusion | None = None,
+    inputs: LawInputs,
 ) -> tuple[float, float]:
-    """Return the nominal command [m/s²], before the bound of (1).
-
-    Args:
-        uav: Constants of the UAV.
-        law: Parameters of this law.
-        memory: Changed in place.
-        coverage: The UAV's coverage grid C. Shape (rows, columns).
-        tick: Current tick.
-        own: Position [m] and velocity [m/s] of the UAV.
-        target: Known estimate of the UGV.
-        occlusion: Known buildings as the UAV sees them; None: there are none.
-    """
+    """Return u_a,tr of (15) [m/s²]."""
+    own, target = inputs.own, inputs.target
     x, y = own.p_x - target.p_x, own.p_y - target.p_y
     return tracking_term(law, memory, uav.dt, x, y)

@@ -1,11 +1,10 @@
 r"""Law `weighted`: both terms of (17), weighted by a user's function."""
 
 from agents.laws.common import CoverageMemory, weighted_command
-from agents.uav_parameters import Target, UavParameters
+from agents.laws.inputs import LawInputs
+from agents.uav_parameters import UavParameters
 from bus.messages.laws import CoverageParameters
-from sim.compiling.compile import FloatArray, compiled
-from sim.models.shadows import Occlusion
-from sim.models.vehicles import Motion
+from sim.compiling.compile import compiled
 
 
 class Memory(CoverageMemory):
@@ -20,23 +19,8 @@ def command(
     uav: UavParameters,
     law: CoverageParameters,
     memory: Memory,
-    coverage: FloatArray,
-    tick: int,
-    own: Motion,
-    target: Target,
-    occlusion: Occlusion | None = None,
+    inputs: LawInputs,
 ) -> tuple[float, float]:
-    """Return the nominal command [m/s²], before the bound of (1).
-
-    Args:
-        uav: Constants of the UAV.
-        law: Parameters of this law.
-        memory: Changed in place.
-        coverage: The UAV's coverage grid C. Shape (rows, columns).
-        tick: Current tick.
-        own: Position [m] and velocity [m/s] of the UAV.
-        target: Known estimate of the UGV.
-        occlusion: Known buildings as the UAV sees them; None: there are none.
-    """
+    """Return u_a of (17) with the user's weights [m/s²]."""
     shares = memory.alpha, memory.beta
-    return weighted_command(uav, law, memory, coverage, tick, own, target, shares, occlusion)
+    return weighted_command(uav, law, memory, inputs, shares)

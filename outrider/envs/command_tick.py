@@ -11,6 +11,7 @@ from agents.estimation.map_updates import (
     next_block,
 )
 from agents.laws.dispatch import nominal_command
+from agents.laws.inputs import LawInputs
 from agents.safety.decision import CERTIFIED, NOMINAL
 from agents.safety.pending import add_plans
 from agents.uav_parameters import Target
@@ -53,9 +54,8 @@ def _fly(
         coverage = map_of(state.maps, world, uav)
         own = state.uavs[world, uav]
         occlusion = occlusion_at(tables.heights, batch.town, own, (world, uav), one)
-        u_x, u_y = nominal_command(
-            tables.laws, own, state.laws, (world, uav), coverage, tick, here, target, occlusion
-        )
+        inputs = LawInputs(coverage, tick, here, target, occlusion)
+        u_x, u_y = nominal_command(tables.laws, own, state.laws, (world, uav), inputs)
         u_z = climb(tables.heights, state, (world, uav), one, here, coverage, target, occlusion)
     else:
         action = actions[action_row]

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.laws.common import CoverageMemory, coverage_velocity_error
+from agents.laws.inputs import LawInputs
 from agents.uav_parameters import Target, UavParameters, uav_parameters
 from bus.law_parameters import law_parameters
 from bus.registry import LAWS, module_of
@@ -83,7 +84,9 @@ def velocity_errors(flight: Flight) -> tuple[FloatArray, FloatArray]:
         if tick > 0:
             accumulate(coverage, here.p_x, here.p_y, c.sensor, c.cell, c.dt)
         target = Target(True, estimates[tick, 0], estimates[tick, 1], 0.0, 0.0, 0.0, 0.0)
-        errors[tick] = coverage_velocity_error(uav, law, memory, coverage, tick, here, target)
+        errors[tick] = coverage_velocity_error(
+            uav, law, memory, LawInputs(coverage, tick, here, target)
+        )
     return errors, errors + states[: flight.recorder.ticks, 2:4]
 
 
