@@ -21,25 +21,26 @@ from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
 
 
+@unless_none
 @compiled
-def _occlusion_in_plane(
-    heights: None,
-    town: TownState | None,
-    uav: UavParameters,
-    place: tuple[int, int],
-    vehicle: Vehicle,
-) -> None:
-    return None
-
-
-@compiled
-def _occlusion_at(
+def occlusion_at(
     heights: HeightTables,
     town: TownState | None,
     uav: UavParameters,
     place: tuple[int, int],
     vehicle: Vehicle,
 ) -> Occlusion | None:
+    """Set a UAV's sensor to its altitude, and return the buildings that it knows, as seen from there.
+
+    Return None in the plane and without buildings.
+
+    Args:
+        heights: Tables of the altitudes; None: all UAVs fly in the plane.
+        town: Buildings of all worlds.
+        uav: Constants of the UAV, changed.
+        place: World and UAV.
+        vehicle: The UAV in the world.
+    """
     world, row = place
     own, law = vehicle.vertical, heights.laws[row_of(heights.laws.shape[0], world), row]
     if own.flies:
@@ -50,19 +51,20 @@ def _occlusion_at(
     return known
 
 
-occlusion_at = unless_none(_occlusion_at, _occlusion_in_plane)
-"""`occlusion_at(heights, town, uav, place, vehicle)`: set a UAV's sensor to its altitude, and return the buildings that
-it knows, as seen from there; None in the plane and without buildings.
-
-`heights`: tables of the altitudes, None: all UAVs fly in the plane; `town`: buildings of all worlds; `uav`: constants
-of the UAV, changed; `place`: world and UAV; `vehicle`: the UAV in the world.
-"""
-
-
+@unless_none
 @compiled
-def _cover_found(
+def cover_found(
     town: TownState, place: tuple[int, int], uav: UavParameters, tick: int, coverage: FloatArray
 ) -> None:
+    """Count the ground under buildings just discovered as covered; do nothing without buildings.
+
+    Args:
+        town: Buildings of all worlds.
+        place: World and UAV.
+        uav: Constants of the UAV.
+        tick: Current tick.
+        coverage: Its own map, changed.
+    """
     world, k = place
     found = town.found[world, k]
     for n in range(found.shape[0]):
@@ -75,20 +77,6 @@ def _cover_found(
                 uav.cell,
                 uav.desired_coverage,
             )
-
-
-@compiled
-def _cover_nothing(
-    town: None, place: tuple[int, int], uav: UavParameters, tick: int, coverage: FloatArray
-) -> None:
-    return
-
-
-cover_found = unless_none(_cover_found, _cover_nothing)
-"""`cover_found(town, place, uav, tick, coverage)`: count the ground under buildings just discovered as covered.
-
-`place`: world and UAV; `uav`: constants of the UAV; `coverage`: its own map, changed.
-"""
 
 
 @compiled

@@ -28,13 +28,10 @@ def filter_of(filters: FilterMemory, bounds: SafetyBounds, world: int, uav: int)
     )
 
 
+@unless_none
 @compiled
-def _no_grid(grids: None, late: int, world: int, ugv: int) -> None:
-    return None
-
-
-@compiled
-def _grid_of(grids: OccupancyGrid, late: int, world: int, ugv: int) -> OccupancyGrid:
+def grid_of(grids: OccupancyGrid, late: int, world: int, ugv: int) -> OccupancyGrid:
+    """Return the occupancy grid of a UGV, with this number of pending commands; None without ground."""
     return OccupancyGrid(
         grids.tiles[world, ugv],
         grids.reported[world, ugv],
@@ -50,12 +47,6 @@ def _grid_of(grids: OccupancyGrid, late: int, world: int, ugv: int) -> Occupancy
         grids.committed[world, ugv],
         grids.flags[world, ugv],
     )
-
-
-grid_of = unless_none(_grid_of, _no_grid)
-"""`grid_of(grids, late, world, ugv)`: occupancy grid of a UGV, with this number of pending commands; None without
-ground.
-"""
 
 
 @compiled

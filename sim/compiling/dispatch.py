@@ -5,6 +5,7 @@ Functions passed as arguments would be compiled again in each process. Here the 
 functions, so that the cache stores it.
 """
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -55,13 +56,21 @@ def choice(functions: Sequence[Function]) -> Function:
     return call
 
 
-def unless_none(given: Function, none: Function) -> Function:
+@register_jitable
+def _nothing(*given: Any) -> None:
+    return None
+
+
+def unless_none(given: Function, none: Function = _nothing) -> Function:
     """Return a function that calls `given(first, *others)`, or `none(first, *others)` if its first argument is None.
+
+    By default it returns None then: as a decorator, it makes `given` a function of an optional part.
 
     Compiled code contains only one of them. After a test `first is None`, numba would compile both, and join their
     results.
     """
 
+    @functools.wraps(given, updated=())
     def call(first: Any, *others: Any) -> Any:
         return none(first, *others) if first is None else given(first, *others)
 
@@ -82,7 +91,7 @@ def commands(functions: Mapping[str, Function]) -> Function:
 
     `call(code, vehicle, parameters, memory, inputs)` calls the function with this index as `function(vehicle,
     parameters.name, memory.name, *inputs)`. Both records nest one record for each name. A function whose name they lack
-    is not compiled; if it is called nevertheless, the command is NaN.
+    is not compiled; if it is called nevertheless, the command is NaN. A name that is alone needs no selection.
 
     Args:
         functions: Compiled functions by name.
@@ -126,9 +135,20 @@ def commands(functions: Mapping[str, Function]) -> Function:
 
         return choose
 
+    def alone(name: str) -> Function:
+        function = functions[name]
+
+        def only(code: Any, vehicle: Any, parameters: Any, memory: Any, inputs: Any) -> Any:
+            return function(vehicle, parameters[name], memory[name], *inputs)
+
+        return only
+
     @overload(call, jit_options={"error_model": "numpy"})
     def _call(code: Any, vehicle: Any, parameters: Any, memory: Any, inputs: Any) -> Function:
-        choose = among([(k, one) for k, one in enumerate(functions) if one in parameters.fields])
+        rows = [(k, one) for k, one in enumerate(functions) if one in parameters.fields]
+        if len(rows) == 1:
+            return alone(rows[0][1])
+        choose = among(rows)
 
         def chosen(code: Any, vehicle: Any, parameters: Any, memory: Any, inputs: Any) -> Any:
             return choose(code, vehicle, parameters, memory, inputs)

@@ -28,42 +28,33 @@ _OFF_WALL = 1e-6
 """Distance from a wall at which a UAV that flies against it stops [m]."""
 
 
+@unless_none
 @compiled
-def _occlusion(town: TownState, world: int, z: float) -> Occlusion:
+def occlusion_of(town: TownState, world: int, z: float) -> Occlusion:
+    """Return the buildings of a world as a camera at altitude z sees them; None without buildings."""
     return Occlusion(town.buildings[world], town.corners[world], z)
 
 
+@unless_none
 @compiled
-def _no_occlusion(town: None, world: int, z: float) -> None:
-    return None
-
-
-occlusion_of = unless_none(_occlusion, _no_occlusion)
-"""`occlusion_of(town, world, z)`: the buildings of a world as a camera at altitude z sees them; None: no buildings."""
-
-
-@compiled
-def _known_occlusion(town: TownState, world: int, k: int, z: float) -> Occlusion:
+def known_occlusion_of(town: TownState, world: int, k: int, z: float) -> Occlusion:
+    """Return the buildings that the k-th UAV knows, as its camera at altitude z sees them; None without buildings."""
     return Occlusion(town.seen[world, k], town.corners[world], z)
 
 
+@unless_none
 @compiled
-def _nothing_known(town: None, world: int, k: int, z: float) -> None:
-    return None
-
-
-known_occlusion_of = unless_none(_known_occlusion, _nothing_known)
-"""`known_occlusion_of(town, world, k, z)`: the same with the buildings that the k-th UAV knows."""
-
-
-@compiled
-def _discover(
+def discover(
     town: TownState,
     cameras: RecordArray,
     numbers: WorldParameters,
     place: tuple[int, int, int],
     uav: Vehicle,
 ) -> None:
+    """Record the buildings of which a UAV has now seen all corners; do nothing without buildings.
+
+    Like a ground sensor, it looks from the reference position. `place`: world, row among the UAVs, and tick.
+    """
     world, k, tick = place
     if not uav.vertical.flies:
         return
@@ -86,24 +77,6 @@ def _discover(
         if missing == 0:
             seen[n] = row
             town.found[world, k, n] = tick
-
-
-@compiled
-def _discover_nothing(
-    town: None,
-    cameras: RecordArray | None,
-    numbers: WorldParameters,
-    place: tuple[int, int, int],
-    uav: Vehicle,
-) -> None:
-    return
-
-
-discover = unless_none(_discover, _discover_nothing)
-"""`discover(town, cameras, numbers, place, uav)`: note the buildings of which a UAV has now seen all corners.
-
-Like a ground sensor, it looks from the reference position. `place`: world, row among the UAVs, and tick.
-"""
 
 
 @compiled
