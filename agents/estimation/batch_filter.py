@@ -10,7 +10,7 @@ other rows are a ring of recent ticks, tick k in row 1 + k % depth, as they were
 import numpy as np
 
 from agents.estimation.motion_model import KalmanParameters, bounded_scales
-from agents.estimation.perception import DETECTION
+from agents.uav_inputs import DETECTION
 from agents.uav_parameters import Target
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray, record_type

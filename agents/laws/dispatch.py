@@ -1,4 +1,4 @@
-"""Law of each UAV in a batch: chosen by its row, compiled with the batch.
+"""Laws for the compiled tick: the law of one pilot, or that of each UAV in a batch, chosen by its row.
 
 Compiling a batch for a new set of laws takes 15 s. So a batch contains all laws that compile quickly, and only those
 slow ones that are flown.
@@ -9,31 +9,56 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.laws.inputs import LawInputs
 from agents.uav_parameters import UavParameters, uav_parameters
 from bus.law_parameters import law_parameters
 from bus.messages.scenario import Law
 from bus.messages.vehicle import UavBriefing
 from bus.registry import LAWS, module_of, usable
-from sim.compiling.compile import IntArray, compiled
+from sim.compiling.compile import IntArray
 from sim.compiling.dispatch import commands
-from sim.compiling.records import RecordArray, fresh_nested, nested_type, records
-from sim.models.vehicles import brake, clip_norm
+from sim.compiling.records import RecordArray, fill, fresh_nested, nested_type, records
 
 _USABLE = usable(
-    (row for row in LAWS.values() if row.module and not row.own),
-    lambda row: module_of(row, "Memory", "command"),
+    (row for row in LAWS.values() if row.module), lambda row: module_of(row, "Memory", "command")
 )
 _ROWS = {name: LAWS[name] for name in _USABLE}
 _FILES = tuple(dict.fromkeys(row.module for row in _ROWS.values()))
-CODES = {name: _FILES.index(row.module) for name, row in _ROWS.items()}
+_ALL_CODES = {name: _FILES.index(row.module) for name, row in _ROWS.items()}
+CODES = {name: code for name, code in _ALL_CODES.items() if not _ROWS[name].own}
 """Index of the file of each law that flies in batches."""
 _MODULES = {row.module.replace(".", "_"): _USABLE[name] for name, row in _ROWS.items()}
 """Module of each law by the name of its nested record, in the order of its code."""
 _PARAMETERS = {row.module.replace(".", "_"): row.parameters for row in reversed(_ROWS.values())}
 """Class of the parameters of each law by the same name."""
-_SEPARATE = {CODES[name] for name, row in _ROWS.items() if row.separate}
-_law_command = commands({name: module.command for name, module in _MODULES.items()})
+_SEPARATE = {_ALL_CODES[name] for name, row in _ROWS.items() if row.separate or row.own}
+law_command = commands({name: module.command for name, module in _MODULES.items()})
+"""`law_command(code, uav, parameters, memory, (inputs,))`: command of the law with this code, before the bound of (1).
+
+`parameters`, `memory`: records that nest one record for each law in use.
+"""
+
+
+class FlownLaw(NamedTuple):
+    """Law of one UAV in a tick."""
+
+    code: int
+    """Index of its file."""
+    parameters: RecordArray
+    memory: RecordArray
+    """Parameters and memory, nested by law; the memory is changed in place. Shape (1,)."""
+
+
+def flown_law(law: Law) -> FlownLaw:
+    """Return a law with a new memory, for one UAV.
+
+    Raises:
+        ScenarioError: If a parameter is not allowed.
+    """
+    code = _ALL_CODES[law.name]
+    name = list(_MODULES)[code]
+    parameters: RecordArray = np.zeros(1, nested_type({name: LAWS[law.name].parameters}))
+    fill(parameters[name][0], law_parameters(law))
+    return FlownLaw(code, parameters, fresh_nested({name: _MODULES[name].Memory}, (1,)))
 
 
 class LawTables(NamedTuple):
@@ -75,28 +100,3 @@ def law_memories(tables: LawTables, worlds: int) -> RecordArray:
     """Return the memories of the laws in all worlds, nested by name. Shape (worlds, UAVs)."""
     kinds = {name: _MODULES[name].Memory for name in _contained(tables.codes)}
     return fresh_nested(kinds, (worlds, len(tables.codes)))
-
-
-@compiled
-def nominal_command(
-    tables: LawTables,
-    uav: UavParameters,
-    memories: RecordArray,
-    place: tuple[int, int],
-    inputs: LawInputs,
-) -> tuple[float, float]:
-    """Return the command of a UAV from its law, within the bound of (1) [m/s²]; without an estimate, brake.
-
-    Args:
-        tables: Tables of the batch.
-        uav: Constants of this UAV, with its sensor at its altitude.
-        memories: Memories of the laws, changed in place.
-        place: World and UAV.
-        inputs: Knowledge of the UAV; its estimate of the UGV may be unknown.
-    """
-    row, own = place[1], inputs.own
-    if not inputs.target.known:
-        return brake(own.v_x, own.v_y, uav.max_acceleration, uav.dt)
-    code, parameters = tables.codes[row], tables.parameters[row]
-    u_x, u_y = _law_command(code, uav, parameters, memories[place], (inputs,))
-    return clip_norm(u_x, u_y, uav.max_acceleration)

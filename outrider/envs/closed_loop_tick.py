@@ -8,11 +8,11 @@ from typing import Any
 
 from agents.estimation.batch_filter import estimate
 from agents.uav_parameters import Target, UavParameters
+from agents.uav_tick import occlusion_of
 from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
 from outrider.envs.command_tick import apply_actions, command
-from outrider.envs.height_tick import occlusion_at
 from outrider.envs.perception_tick import perceive
-from outrider.envs.vehicle_parts import map_of
+from outrider.envs.vehicle_parts import inputs_of, map_of
 from sim.channel.link_records import ARRIVED
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined, released
 from sim.compiling.records import RecordArray, row_of
@@ -81,7 +81,7 @@ def _add_pictures(
     vehicles = state.batch.vehicles
     maps, patches, escorts = state.maps, state.patches, tables.batch.escorts
     if parameters.estimate or parameters.gradient:
-        kalman, rows, uavs, heights = state.kalman, state.rows.uav_rows, state.uavs, tables.heights
+        kalman, rows, uavs = state.kalman, state.rows.uav_rows, state.uavs
         for u in range(escorts.shape[0]):
             own = uavs[world, u]
             _add_cues(
@@ -92,9 +92,7 @@ def _add_pictures(
                 kalman[world, u, 0].age,
                 own,
                 map_of(maps, world, u),
-                occlusion_at(
-                    heights, state.batch.town, own, (world, u), vehicles[world, escorts[u, 0]]
-                ),
+                occlusion_of(inputs_of(tables, state, world, u, 0)),
             )
     for u in range(patches.shape[1]):
         place = vehicles[world, escorts[u, 0]].reference_position

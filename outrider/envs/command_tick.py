@@ -10,18 +10,25 @@ from agents.estimation.map_updates import (
     map_updates_of,
     next_block,
 )
-from agents.laws.dispatch import nominal_command
-from agents.laws.inputs import LawInputs
+from agents.laws.dispatch import FlownLaw
+from agents.safety.control import filter_control
 from agents.safety.decision import CERTIFIED, NOMINAL
 from agents.safety.pending import add_plans
 from agents.uav_parameters import Target
+from agents.uav_tick import nominal_control
 from outrider.envs.closed_loop_state import (
     LoopParameters,
     LoopState,
     LoopTables,
 )
-from outrider.envs.height_tick import climb, filter_at, occlusion_at
-from outrider.envs.vehicle_parts import filter_of, grid_of, map_of, reference_of
+from outrider.envs.vehicle_parts import (
+    camera_of,
+    grid_of,
+    inputs_of,
+    levels_of,
+    memory_of,
+    reference_of,
+)
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
 from sim.compiling.records import RecordArray, row_of
 from sim.engine.ground_state import GroundState
@@ -47,27 +54,23 @@ def _fly(
     batch, action_row = state.batch, tables.action_row[vehicle]
     tick, standing = batch.ticks[world], state.rows.standings[world, vehicle]
     one = batch.vehicles[world, vehicle]
-    here = reference_of(one)
     target = estimate(state.kalman, world, uav)
-    committed = batch.flown[world, vehicle, 0].begins
+    inputs, memory = inputs_of(tables, state, world, uav, 0), memory_of(tables, state, world, uav)
     if action_row < 0:
-        coverage = map_of(state.maps, world, uav)
-        own = state.uavs[world, uav]
-        occlusion = occlusion_at(tables.heights, batch.town, own, (world, uav), one)
-        inputs = LawInputs(coverage, tick, here, target, occlusion)
-        u_x, u_y = nominal_command(tables.laws, own, state.laws, (world, uav), inputs)
-        u_z = climb(tables.heights, state, (world, uav), one, here, coverage, target, occlusion)
+        laws, camera = tables.laws, camera_of(tables.heights, world, uav)
+        law = FlownLaw(
+            laws.codes[uav], laws.parameters[uav : uav + 1], state.laws[world, uav : uav + 1]
+        )
+        u_x, u_y, u_z = nominal_control(law, camera, memory, inputs, target)
     else:
         action = actions[action_row]
         u_x, u_y, u_z = action[0], action[1], action[2]
     if tables.filtered[uav]:
         row = row_of(tables.safety.shape[0], world)
-        wanted, bounds = (u_x, u_y, u_z), tables.safety[row, uav]
-        memory = filter_of(state.filters, bounds, world, uav)
-        filter_at(tables.heights, (world, uav), bounds, memory, tick, here, one, wanted, committed)
-        decision = memory.decision[0]
-        u_x, u_y = decision.acceleration[0], decision.acceleration[1]
-        u_z = decision.vertical_acceleration
+        safety, levels = tables.safety[row, uav : uav + 1], levels_of(tables.heights, world, uav)
+        nominal = u_x, u_y, u_z
+        u_x, u_y, u_z = filter_control(safety, levels, memory.filter, inputs, nominal)
+        decision = memory.filter.decision[0]
         certified, overridden = decision.reason == CERTIFIED, decision.source != NOMINAL
         # a pilot without a detection sends no report
         reports = target.known or action_row >= 0
@@ -79,13 +82,13 @@ def _fly(
         claim = Claim(certified, reports and overridden, standing.lost, True, clear)
         record_decision(tables.monitored[row, uav], state.certificates[world, uav], tick, claim)
         one.outgoing_motion, one.outgoing_motions = add_plans(
-            bounds, memory.pending, tick, batch.motions[world, vehicle]
+            safety[0], memory.filter.pending, tick, batch.motions[world, vehicle]
         )
     one.outgoing_tick, one.outgoing[0], one.outgoing[1] = tick, u_x, u_y
     one.vertical.outgoing = u_z
     if parameters.radio:
         updates = map_updates_of(state.map_updates, world, uav)
-        _write_radio(parameters, state.outbox[world, uav], updates, tick, here, target)
+        _write_radio(parameters, state.outbox[world, uav], updates, tick, inputs.own, target)
 
 
 @compiled

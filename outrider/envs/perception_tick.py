@@ -9,17 +9,15 @@ from agents.estimation.map_updates import (
     map_updates_of,
     record_tile,
 )
-from agents.estimation.perception import add_detections
+from agents.uav_tick import perceive as perceive_uav
 from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
-from outrider.envs.height_tick import cover_found, occlusion_at
-from outrider.envs.vehicle_parts import filter_of, grid_of, map_of, reference_of
+from outrider.envs.vehicle_parts import camera_of, grid_of, inputs_of, memory_of
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED, Packet
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
 from sim.compiling.records import RecordArray, row_of
 from sim.engine.ground_state import GroundState, TickArray
 from sim.engine.mission import receive_block
-from sim.models.field import accumulate
 from sim.models.ground import TileArray
 
 
@@ -133,28 +131,19 @@ def perceive(
     world: int,
 ) -> None:
     """Update the map and filters of each UAV and the inbox of each UGV from the messages of this tick."""
-    batch, escorts, heights = state.batch, tables.batch.escorts, tables.heights
+    batch, escorts = state.batch, tables.batch.escorts
     tick, detections = batch.ticks[world], state.detections[world]
     row = row_of(tables.safety.shape[0], world)
-    looked = 1 if parameters.own_maps and tick > 0 else 0  # otherwise the world updates the map
+    elapsed = 1 if parameters.own_maps and tick > 0 else 0  # otherwise the world updates the map
     for u in range(escorts.shape[0]):
-        uav, vehicle = state.uavs[world, u], batch.vehicles[world, escorts[u, 0]]
-        here = reference_of(vehicle)
-        occlusion = occlusion_at(heights, batch.town, uav, (world, u), vehicle)
         arrived = batch.links[world, u].arrived
         _add_detections(batch.packets[world, u, ARRIVED], arrived, detections)
-        if tables.batch.world[row_of(tables.batch.world.shape[0], world)].discovers:
-            cover_found(batch.town, (world, u), uav, tick, map_of(state.maps, world, u))
-        if looked > 0:
-            grid, dt = map_of(state.maps, world, u), looked * uav.dt
-            accumulate(grid, here.p_x, here.p_y, uav.sensor, uav.cell, dt, occlusion)
-        if tables.filtered[u]:
-            bounds = tables.safety[row, u]
-            memory = filter_of(state.filters, bounds, world, u)
-            add_detections(bounds, memory, tick, here, detections, arrived)
+        inputs = inputs_of(tables, state, world, u, elapsed)
+        memory, camera = memory_of(tables, state, world, u), camera_of(tables.heights, world, u)
+        perceive_uav(camera, tables.safety[row, u : u + 1], memory, inputs, tables.filtered[u] != 0)
         if tables.estimating[u]:
             numbers, place = tables.kalman[row, u], (world, u)
-            update_estimate(numbers, state.kalman, place, tick, here, detections, arrived)
+            update_estimate(numbers, state.kalman, place, tick, inputs.own, detections, arrived)
     if parameters.radio:
         _radio(tables, state, ground, world)
     if ground is not None:

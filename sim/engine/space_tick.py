@@ -37,13 +37,6 @@ def occlusion_of(town: TownState, world: int, z: float) -> Occlusion:
 
 @unless_none
 @compiled
-def known_occlusion_of(town: TownState, world: int, k: int, z: float) -> Occlusion:
-    """Return the buildings that the k-th UAV knows, as its camera at altitude z sees them; None without buildings."""
-    return Occlusion(town.seen[world, k], town.corners[world], z)
-
-
-@unless_none
-@compiled
 def discover(
     town: TownState,
     cameras: RecordArray,

@@ -1,0 +1,82 @@
+"""State of one UAV and the messages that it has received in a tick: the inputs of its on-board software."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bus.messages.vehicle import UavObservation
+from bus.ticks import Look, look_rows
+from sim.compiling.compile import FloatArray, IntArray
+from sim.compiling.records import RecordArray
+from sim.models.altitude import VerticalMotion
+from sim.models.motion import NO_MOTION
+from sim.models.vehicles import Motion
+
+_NO_DETECTIONS: FloatArray = np.zeros((0, len(Look._fields)))
+DETECTION: Any = Look._make(range(3))
+"""Columns of an array of detections."""
+
+
+class KnownBuildings(NamedTuple):
+    """Buildings that a UAV knows."""
+
+    rows: RecordArray
+    """`BuildingRow`; a row of height 0 is empty. Shape (buildings,)."""
+    corners: FloatArray
+    """Corners of the footprints [m]. Shape (corners, 2)."""
+    discovered: IntArray
+    """Tick in which the UAV discovered a building; -1: it did not. Shape (buildings,)."""
+
+
+class UavInputs(NamedTuple):
+    """State and messages of one UAV in a tick."""
+
+    tick: int
+    elapsed: int
+    """Ticks since the last observation; 0: its map is not updated."""
+    own: Motion
+    vertical: VerticalMotion | None
+    """Its altitude; None: all UAVs fly in the plane."""
+    committed: int
+    """First tick of the trajectory executed in the last tick; NO_MOTION: none."""
+    detections: FloatArray
+    """Tick and p_delta [m] of each detection, see `DETECTION`. Shape (rows, 3)."""
+    received: int
+    """Number of valid rows of `detections`."""
+    buildings: KnownBuildings | None
+    """None: there are none."""
+
+
+def uav_inputs(
+    observation: UavObservation,
+    detections: Sequence[Look],
+    *,
+    elapsed: int = 0,
+    vertical: RecordArray | None = None,
+    buildings: KnownBuildings | None = None,
+) -> UavInputs:
+    """Convert the message of a tick.
+
+    Args:
+        observation: The message.
+        detections: Its detections, from `bus.ticks.looks_of`.
+        elapsed: Ticks since the last observation.
+        vertical: `VerticalMotion`, in which the altitude is recorded; None: the UAV flies in the plane. Shape (1,).
+        buildings: Known buildings.
+    """
+    if vertical is not None and observation.altitude is not None:
+        vertical["altitude"], vertical["rate"] = observation.altitude, observation.climb_rate
+    rows, committed = _NO_DETECTIONS, observation.committed_trajectory
+    if detections:
+        rows = look_rows(detections)
+    return UavInputs(
+        tick=observation.tick,
+        elapsed=elapsed,
+        own=Motion(*observation.position, *observation.velocity),
+        vertical=None if vertical is None else vertical[0],
+        committed=NO_MOTION if committed is None else committed,
+        detections=rows,
+        received=len(rows),
+        buildings=buildings,
+    )
