@@ -1,4 +1,4 @@
-"""Vertical control and camera of a UAV that has an altitude: its altitude law, and its sensor at its altitude."""
+"""Altitude law and camera of a UAV that has an altitude."""
 
 import math
 from typing import NamedTuple
@@ -6,13 +6,12 @@ from typing import NamedTuple
 from agents.control.altitude import ABOVE_FLOOR, PERIOD, best_altitude, climb_to
 from agents.safety.levels import least_altitude, levels_of, lowest_certified
 from agents.uav_parameters import Target, UavParameters
-from bus.messages.vehicle import UavBriefing, UavObservation
+from bus.messages.vehicle import UavBriefing
 from bus.registry import ALTITUDE_LAWS
 from sim.compiling.compile import FloatArray, compiled
-from sim.compiling.records import RecordArray, fresh, records
-from sim.models.altitude import VerticalMotion, vertical_motion
-from sim.models.buildings import building_table
-from sim.models.camera import CameraParameters, sensor_at
+from sim.compiling.records import RecordArray, fresh
+from sim.models.altitude import VerticalMotion
+from sim.models.camera import CameraParameters
 from sim.models.sensor import SensorParameters
 from sim.models.shadows import Occlusion
 from sim.models.vehicles import Motion
@@ -114,71 +113,3 @@ def vertical_command(
                 occlusion,
             )
     return climb_to(own.altitude, own.rate, memory.goal, own.max_rate, own.max_acceleration, uav.dt)
-
-
-class HeightControl:
-    """Altitude law of one UAV, and what its camera sees from its altitude.
-
-    Args:
-        briefing: Briefing of a UAV with an altitude.
-        uav: Constants of the UAV.
-
-    Raises:
-        ValueError: If the UAV flies in the plane.
-    """
-
-    def __init__(self, briefing: UavBriefing, uav: UavParameters) -> None:
-        self._parameters = height_parameters(briefing, uav)
-        self._fixed = records(UavParameters, [uav]), records(HeightParameters, [self._parameters])
-        self._memory, self._own = height_memory(briefing), vertical_motion(briefing.altitude)
-        self._known = [*briefing.buildings]
-        self._buildings = self._table()
-
-    def _table(self) -> tuple[RecordArray, FloatArray]:
-        return building_table([(one.corners, one.height) for one in self._known])
-
-    def see(self, observation: UavObservation) -> None:
-        """Record the altitude, the climb rate, and the buildings just discovered."""
-        if observation.buildings:
-            self._known += observation.buildings
-            self._buildings = self._table()
-        if observation.altitude is not None:
-            own = self._own[0]
-            own["altitude"], own["rate"] = observation.altitude, observation.climb_rate
-
-    @property
-    def sensor(self) -> SensorParameters:
-        """Sensor at the present altitude."""
-        own = self._parameters
-        found: SensorParameters = sensor_at(own.sensor, own.camera, self._own[0]["altitude"])
-        return found
-
-    @property
-    def occlusion(self) -> Occlusion | None:
-        """Known buildings, seen from the present altitude; None: none is known."""
-        rows, corners = self._buildings
-        return Occlusion(rows, corners, float(self._own[0]["altitude"])) if len(rows) else None
-
-    def command(self, observation: UavObservation, coverage: FloatArray, target: Target) -> float:
-        """Return the vertical acceleration of the altitude law [m/s²].
-
-        Args:
-            observation: Observation of this tick, after `see`.
-            coverage: The UAV's own map. Shape (rows, columns).
-            target: Estimate of the UGV.
-        """
-        here = Motion(*observation.position, *observation.velocity)
-        own, (uav, parameters) = self._own[0], (rows[0] for rows in self._fixed)
-        return float(
-            vertical_command(
-                uav,
-                parameters,
-                self._memory[0],
-                observation.tick,
-                here,
-                own,
-                coverage,
-                target,
-                self.occlusion,
-            )
-        )

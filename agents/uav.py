@@ -1,18 +1,22 @@
 """Pilot of the UAV: maps observations to commands."""
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
 
 from agents.control.orbit import Path, check_path
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimation.estimator import Estimate, estimator_of
 from agents.estimation.map_updates import MapUpdateScheduler
-from agents.estimation.own_map import cover_buildings, own_map
-from agents.height import HeightControl
-from agents.laws.inputs import LawInputs
+from agents.estimation.own_map import own_map
+from agents.height import HeightParameters, height_memory, height_parameters
 from agents.laws.policy import PolicyControl, TargetEstimate, UavPolicy
 from agents.laws.selection import SelectedLaw
 from agents.safety.safety_filter import SafetyFilter
-from agents.uav_parameters import uav_parameters
+from agents.uav_inputs import KnownBuildings, UavInputs, uav_inputs
+from agents.uav_parameters import UavParameters, uav_parameters
+from agents.uav_tick import UavMemory, altitude_control, fly_law, occlusion_of, perceive
 from bus.errors import ScenarioError
 from bus.messages.base import Vector
 from bus.messages.scenario import Law
@@ -26,9 +30,15 @@ from bus.messages.vehicle import (
 )
 from bus.ticks import looks_of, radio_ticks
 from sim.compiling.compile import FloatArray
-from sim.models.field import accumulate, coverage_error
-from sim.models.shadows import Occlusion
-from sim.models.vehicles import Motion, brake, clip_norm, norm
+from sim.compiling.records import RecordArray, records
+from sim.models.altitude import vertical_motion
+from sim.models.buildings import building_table
+from sim.models.field import coverage_error
+from sim.models.sensor import SensorParameters
+from sim.models.vehicles import norm
+
+if TYPE_CHECKING:
+    from agents.laws.dispatch import FlownLaw
 
 Inner = Callable[[UavObservation], Vector | None]
 """User's inner control: returns the acceleration of this tick [m/s²], or None to fly the law."""
@@ -66,7 +76,14 @@ class UavPilot:
         self._briefing = briefing
         self._uav = uav_parameters(briefing)
         self._law = SelectedLaw(briefing, briefing.law, self._uav)
-        self._height = None if briefing.altitude is None else HeightControl(briefing, self._uav)
+        self._vertical: RecordArray | None = None
+        self._camera: RecordArray | None = None
+        if briefing.altitude is not None:
+            self._vertical = vertical_motion(briefing.altitude)
+            self._camera = records(HeightParameters, [height_parameters(briefing, self._uav)])
+        self._known = [*briefing.buildings]
+        self._discovered = [-1] * len(briefing.buildings)
+        self._buildings = self._known_buildings()
         self._weighting, self._path, self._inner = weighting, path, inner
         self._policy: PolicyControl | None = None
         if policy is not None:
@@ -74,10 +91,17 @@ class UavPilot:
         self._check_own_functions()
         self.coverage: FloatArray = own_map(briefing)
         """The UAV's own coverage map, built from its own trajectory. Shape (rows, columns)."""
-        self._occlusion: Occlusion | None = None
         self.estimator = estimator_of(briefing)
         self.filter: SafetyFilter | None = self._make_filter()
         """Safety filter of the law `certified` and of a user's inner control; None for other laws."""
+        self._guard = self.filter or SafetyFilter(briefing)  # all flights compile the same types
+        # tables of one row: a single row becomes read-only when pickled
+        self._memory = UavMemory(
+            uav=records(UavParameters, [self._uav]),
+            coverage=self.coverage,
+            altitude=None if briefing.altitude is None else height_memory(briefing),
+            filter=self._guard.memory,
+        )
         self.map_updates = MapUpdateScheduler(briefing)
         """Scheduler of the map updates."""
         self._tick: int | None = None
@@ -115,23 +139,27 @@ class UavPilot:
             v_a, v_g, u_a = c.max_speed, c.target_max_speed, c.max_acceleration
             check_path(self._path, _PATH_HORIZON, self._briefing.visibility_radius, v_a, v_g, u_a)
 
+    def _known_buildings(self) -> KnownBuildings | None:
+        if self._vertical is None or self._briefing.max_building_height is None:
+            return None
+        tables = building_table([(one.corners, one.height) for one in self._known])
+        return KnownBuildings(*tables, np.array(self._discovered, dtype=np.int64))
+
     def act(self, observation: UavObservation) -> UavCommand:
         """Return the command for this observation."""
         tick = observation.tick
         if observation.law is not None:
             self._select_law(observation.law)
         wanted = None if self._inner is None else self._inner(observation)
-        self.perceive(observation)
-        estimate = self._estimate
-        if wanted is None:
-            wanted = self._nominal(observation)
-        acceleration, decision = wanted, None
+        inputs = self._receive(observation)
+        nominal = self._nominal(observation, inputs, wanted)
+        acceleration, vertical, decision = nominal[:2], nominal[2], None
         backups: tuple[BackupTrajectory, ...] = ()
-        vertical = self._vertical(observation)
         if self.filter is not None:
-            decision = self.filter.filter(observation, wanted, vertical)
+            decision = self.filter.decide(inputs, nominal)
             acceleration, vertical = decision.acceleration, decision.vertical_acceleration
             backups = self.filter.backup_trajectories(tick)
+        estimate = self._estimate
         if estimate is None:
             return UavCommand(
                 tick=tick,
@@ -162,69 +190,84 @@ class UavPilot:
             self.filter.invalidate_plans()
 
     def perceive(self, observation: UavObservation) -> None:
-        """Update map, estimator and safety filter, also from an observation that is too late to answer."""
-        tick, before, dt = observation.tick, self._tick, self._dt
+        """Update map, estimator and safety filter from an observation that is too late to answer."""
+        self._perceive(self._receive(observation))
+
+    def _perceive(self, inputs: UavInputs) -> None:
+        filtered = self.filter is not None
+        perceive(self._camera, self._guard.rows, self._memory, inputs, filtered)
+
+    def _receive(self, observation: UavObservation) -> UavInputs:
+        """Update the estimate, and convert the message: altitude, detections, and buildings just discovered."""
+        tick, before = observation.tick, self._tick
         if observation.tile_reports:
             self.map_updates.record(observation.tile_reports)
         if self._policy is not None:
             self._policy.perceive(observation)
+        detections = looks_of(observation.detections, self._dt)
         self._estimate = self.estimator.update(
-            tick=tick,
-            own_position=observation.position,
-            detections=looks_of(observation.detections, dt),
+            tick=tick, own_position=observation.position, detections=detections
         )
         self._tick = tick
-        sensor = self._uav.sensor
-        if self._height is not None:
-            if observation.buildings:
-                cover_buildings(self.coverage, self._briefing, observation.buildings)
-            self._height.see(observation)
-            sensor, self._occlusion = self._height.sensor, self._height.occlusion
-            self._law.set_sensor(sensor)
-            if self._policy is not None:
-                self._policy.sensor, self._policy.occlusion = sensor, self._occlusion
-        if before is not None and tick > before:
-            (x, y), looked = observation.position, (tick - before) * dt
-            accumulate(self.coverage, x, y, sensor, self._uav.cell, looked, self._occlusion)
-        if self.filter is not None:
-            self.filter.see(observation)
+        if observation.buildings and self._buildings is not None:
+            self._known += observation.buildings
+            self._discovered += [tick] * len(observation.buildings)
+            self._buildings = self._known_buildings()
+        return uav_inputs(
+            observation,
+            detections,
+            elapsed=0 if before is None else tick - before,
+            vertical=self._vertical,
+            buildings=self._buildings,
+        )
 
     def _select_law(self, law: Law) -> None:
         """Switch to another law; keep map, filter, and the memory fields that both laws share."""
         self._law = SelectedLaw(self._briefing, law, self._uav, self._law)
-        if self._height is not None:
-            self._law.set_sensor(self._height.sensor)
         self._check_own_functions()
         if self.filter is None or not self._watched:
             self.filter = self._make_filter()
+        if self.filter is not None:
+            self._guard = self.filter
+            self._memory = self._memory._replace(filter=self.filter.memory)
 
     @property
     def _flies_policy(self) -> bool:
         row = self._law.row
-        return "uav_policy" in (row.own, row.inner)
+        return self._policy is not None and "uav_policy" in (row.own, row.inner)
 
-    def _vertical(self, observation: UavObservation) -> float:
-        """Return the vertical acceleration of the policy or the altitude law [m/s²]; 0 in the plane."""
-        if self._height is None:
-            return 0.0
-        if self._policy is not None and self._flies_policy:
-            return self._policy.vertical
-        return self._height.command(observation, self.coverage, self.estimator.target)
+    def _nominal(
+        self, observation: UavObservation, inputs: UavInputs, wanted: Vector | None
+    ) -> tuple[float, float, float]:
+        """Perceive, and return the nominal acceleration: x, y and z [m/s²].
 
-    def _nominal(self, observation: UavObservation) -> Vector:
-        """Return the acceleration of the law, or of the policy that replaces it, within the bound of (1) [m/s²]."""
-        uav, target = self._uav, self.estimator.target
+        That of the user's inner control comes first, then that of the policy, then that of the law.
+        """
+        target = self.estimator.target
         if self._policy is not None and self._flies_policy:
-            return self._policy.acceleration(observation, self._policy_estimate(), self.coverage)
-        own = Motion(*observation.position, *observation.velocity)
-        if not target.known:
-            u_x, u_y = brake(own.v_x, own.v_y, uav.max_acceleration, uav.dt)
-            return u_x, u_y
-        self._call_user_function(observation)
-        inputs = LawInputs(self.coverage, observation.tick, own, target, self._occlusion)
-        u_x, u_y = self._law.command(inputs)
-        u_x, u_y = clip_norm(u_x, u_y, uav.max_acceleration)
-        return u_x, u_y
+            self._perceive(inputs)
+            if wanted is None:
+                wanted = self._ask_policy(self._policy, observation, inputs)
+            return *wanted, self._policy.vertical
+        if wanted is not None:
+            self._perceive(inputs)
+            u_z = altitude_control(self._camera, self._memory, inputs, target)
+            return *wanted, u_z
+        if target.known:
+            self._call_user_function(observation)
+        law = cast("FlownLaw", self._law.flown)  # only a policy, which was asked above, has none
+        filtered, safety = self.filter is not None, self._guard.rows
+        u_x, u_y, u_z = fly_law(law, self._camera, safety, self._memory, filtered, inputs, target)
+        return u_x, u_y, u_z
+
+    def _ask_policy(
+        self, policy: PolicyControl, observation: UavObservation, inputs: UavInputs
+    ) -> Vector:
+        """Return the acceleration of the user's policy [m/s²]."""
+        if self._vertical is not None:
+            policy.sensor = SensorParameters(*self._memory.uav[0]["sensor"].tolist())
+            policy.occlusion = occlusion_of(inputs)
+        return policy.acceleration(observation, self._policy_estimate(), self.coverage)
 
     def _policy_estimate(self) -> TargetEstimate:
         s = self.estimator.target

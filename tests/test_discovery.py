@@ -9,7 +9,7 @@ from shapely import LineString, Point, Polygon
 import outrider
 from agents.uav import UavPilot
 from bus.messages.buildings import Building
-from bus.messages.vehicle import UavObservation
+from bus.messages.vehicle import UavCommand, UavObservation
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import InProcess, make_pilots
@@ -57,15 +57,15 @@ class Flown:
         vehicles = make_pilots(scenario, SEED)
         pilot: Any = vehicles["uav_0"]
         self.pilot: UavPilot = pilot
-        perceive = pilot.perceive
+        act = pilot.act
 
-        def record(observation: UavObservation) -> None:
+        def record(observation: UavObservation) -> UavCommand:
             self.seen.append(observation)
-            perceive(observation)
+            return act(observation)
 
-        pilot.perceive = record
+        pilot.act = record
         self.flight.fly(InProcess(vehicles))
-        perceive(self.flight.perceptions["uav_0"].observe(over=True))  # of the last state
+        pilot.perceive(self.flight.perceptions["uav_0"].observe(over=True))  # of the last state
 
     @property
     def town(self) -> tuple[Building, ...]:

@@ -3,26 +3,19 @@
 from collections import Counter
 from typing import Any
 
-from agents.safety.altitude import decide_in_space
-from agents.safety.decision import decide
+from agents.safety.control import filter_control, record_measurements
 from agents.safety.handover import check_assumptions
 from agents.safety.levels import bounds_of, levels_of
-from agents.safety.memory import (
-    add_measurement,
-    add_position,
-    filter_memory,
-    invalidate_plans,
-    track_ticks,
-)
+from agents.safety.memory import filter_memory, invalidate_plans, track_ticks
 from agents.safety.pending import carried
+from agents.uav_inputs import UavInputs, uav_inputs
 from bus.messages.base import Vector, or_none
 from bus.messages.decision import FilterDecision, NotCertified, Source
 from bus.messages.vehicle import BackupTrajectory, UavBriefing, UavObservation
 from bus.ticks import looks_of
-from sim.compiling.records import choice, struct_of
+from sim.compiling.records import RecordArray, choice, records, struct_of
 from sim.models.altitude import vertical_motion
-from sim.models.motion import NO_MOTION
-from sim.models.vehicles import Motion
+from sim.models.safety import SafetyBounds
 
 
 def decision_of(row: Any) -> FilterDecision:  # noqa: ANN401 - a record
@@ -50,8 +43,12 @@ class SafetyFilter:
     def __init__(self, briefing: UavBriefing) -> None:
         self.bounds = bounds_of(briefing)
         """Bounds of the filter; with an altitude, those at the initial altitude."""
-        self._levels = levels_of(briefing)
-        self._vertical = vertical_motion(briefing.altitude)
+        self.rows = records(SafetyBounds, [self.bounds])
+        """The same for compiled code. Shape (1,)."""
+        self._levels: RecordArray | None = None
+        self._vertical: RecordArray | None = None
+        if briefing.altitude is not None:
+            self._levels, self._vertical = levels_of(briefing), vertical_motion(briefing.altitude)
         self.faults = check_assumptions(self.bounds)
         """Violated assumptions, one line each; if there are any, nothing can be certified."""
         self.ticks = 0
@@ -72,11 +69,7 @@ class SafetyFilter:
 
     def see(self, observation: UavObservation) -> None:
         """Record the UAV's position, and the detections received, in any order."""
-        memory, tick = self.memory, observation.tick
-        here = Motion(*observation.position, *observation.velocity)
-        add_position(memory, tick, here.p_x, here.p_y)
-        for taken, x, y in looks_of(observation.detections, self.bounds.dt):
-            add_measurement(self.bounds, memory, taken, (x, y), tick, here)
+        record_measurements(self.rows, self.memory, self._inputs(observation))
 
     def filter(
         self, observation: UavObservation, acceleration: Vector, vertical: float = 0.0
@@ -88,20 +81,17 @@ class SafetyFilter:
             acceleration: Nominal acceleration of the law, the operator or the policy [m/s²].
             vertical: Its nominal vertical acceleration, if it has an altitude [m/s²].
         """
-        here, tick = Motion(*observation.position, *observation.velocity), observation.tick
-        u_x, u_y = float(acceleration[0]), float(acceleration[1])
-        committed = (
-            NO_MOTION
-            if observation.committed_trajectory is None
-            else observation.committed_trajectory
-        )
-        if observation.altitude is None:
-            decide(self.bounds, self.memory, tick, here, u_x, u_y, committed)
-        else:
-            own = self._vertical[0]
-            own["altitude"], own["rate"] = observation.altitude, observation.climb_rate
-            wanted = u_x, u_y, float(vertical)
-            decide_in_space(self._levels, self.memory, tick, here, own, wanted, committed)
+        u_x, u_y = acceleration
+        return self.decide(self._inputs(observation), (u_x, u_y, vertical))
+
+    def _inputs(self, observation: UavObservation) -> UavInputs:
+        detections = looks_of(observation.detections, self.bounds.dt)
+        return uav_inputs(observation, detections, vertical=self._vertical)
+
+    def decide(self, inputs: UavInputs, nominal: tuple[float, float, float]) -> FilterDecision:
+        """Decide on the nominal acceleration [m/s²], as `filter` does, after `record_measurements`."""
+        u_x, u_y, u_z = map(float, nominal)
+        filter_control(self.rows, self._levels, self.memory, inputs, (u_x, u_y, u_z))
         decision = decision_of(self.memory.decision[0])
         self.ticks += 1
         self.overridden += decision.overridden
