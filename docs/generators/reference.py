@@ -15,6 +15,7 @@ import fmi_variables
 import metric_tables
 import observations
 import python_modules
+import reading_list
 import ros2_topics
 import scenario_fields
 import scenario_schema
@@ -29,6 +30,7 @@ GENERATED = {
     "bus_keys": bus_messages.keys,
     "bus_messages": bus_messages.messages,
     "python_modules": python_modules.table,
+    "reading_list": reading_list.table,
     "fmi_pilots": fmi_variables.pilots,
     "fmi_world": fmi_variables.world,
     "fmi_driver": fmi_variables.driver,
