@@ -172,7 +172,7 @@ def nominal_control(
     uav, own = memory.uav[0], inputs.own
     if target.known:
         known = LawInputs(memory.coverage, inputs.tick, own, target, occlusion_of(inputs))
-        u_x, u_y = law_command(law.code, uav, law.parameters[0], law.memory[0], (known,))
+        u_x, u_y = law_command(law.code, uav, law.parameters[0], law.memory[0], known)
         u_x, u_y = clip_norm(u_x, u_y, uav.max_acceleration)
     else:
         u_x, u_y = brake(own.v_x, own.v_y, uav.max_acceleration, uav.dt)

@@ -178,15 +178,17 @@ class CompiledDriver:
         )
         radio = look_rows(looks_of(observation.radio, self._dt))
         inputs = DriverInputs(
-            *self._route,
+            tick=observation.tick,
+            own=Motion(*observation.position, *observation.velocity),
+            goals=self._route.goals,
+            script=self._route.script,
             radio=radio,
             received=len(radio),
             ground=self.ground if self.ground.tiles.size else None,
             committed=committed if self._executes_trajectories else PLAIN,
         )
-        own = Motion(*observation.position, *observation.velocity)
-        ugv, parameters, _ = (rows[0] for rows in self._fixed)
-        u_x, u_y = self._command(ugv, parameters, self.memory, inputs, observation.tick, own)
+        ugv, parameters, memory = (rows[0] for rows in self._fixed)
+        u_x, u_y = self._command(ugv, parameters, memory, inputs)
         return u_x, u_y
 
 

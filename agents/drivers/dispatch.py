@@ -15,7 +15,6 @@ from bus.registry import DEFAULT_DRIVER, DRIVERS, module_of, usable
 from sim.compiling.compile import IntArray, compiled
 from sim.compiling.dispatch import commands
 from sim.compiling.records import RecordArray, fill, fresh_nested, nested_type, records, row_of
-from sim.models.vehicles import Motion
 
 _MODULES = usable(
     (row for row in DRIVERS.values() if row.module),
@@ -81,8 +80,6 @@ def driver_command(
     memories: RecordArray,
     place: tuple[int, int],
     inputs: DriverInputs,
-    tick: int,
-    own: Motion,
 ) -> tuple[float, float]:
     """Return the command of a UGV from its driver [m/s²].
 
@@ -90,9 +87,7 @@ def driver_command(
         tables: Tables of the batch.
         memories: Memories of the drivers, changed in place.
         place: World and UGV.
-        inputs: Goals, script, and messages received in this tick.
-        tick: Current tick.
-        own: State of the UGV.
+        inputs: Knowledge of the UGV.
     """
     row, own_row = place[1], row_of(tables.ugvs.shape[0], place[0])
     u_x, u_y = _driver_command(
@@ -100,6 +95,6 @@ def driver_command(
         tables.ugvs[own_row, row],
         tables.parameters[own_row, row],
         memories[place],
-        (inputs, tick, own),
+        inputs,
     )
     return u_x, u_y

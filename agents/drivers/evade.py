@@ -257,19 +257,9 @@ def command(
     driver: Parameters,
     memory: Memory,
     inputs: DriverInputs,
-    tick: int,
-    own: Motion,
 ) -> tuple[float, float]:
-    """Return the command [m/s²].
-
-    Args:
-        ugv: Constants of the UGV.
-        driver: Parameters of this driver.
-        memory: Changed in place.
-        inputs: Goals, script, and messages received in this tick.
-        tick: Current tick.
-        own: State of the UGV.
-    """
+    """Return the acceleration that evades the UAV; wander while its position is unknown [m/s²]."""
+    tick, own = inputs.tick, inputs.own
     receive_radio(ugv, driver, memory, inputs.radio, inputs.received, tick, own)
     if not is_known(driver, memory, tick):
         return wander.wander_command(ugv, driver, memory, tick, own)

@@ -285,13 +285,12 @@ def _command(
     memory: Memory,
     inputs: DriverInputs,
     ground: OccupancyGrid | None,
-    tick: int,
-    own: Motion,
 ) -> tuple[float, float]:
     """Return the command [m/s²]; without ground, no code to avoid hazards is compiled."""
+    own, goals = inputs.own, inputs.goals
     if ground is None:
-        return waypoint_command(driver, memory, inputs.goals, own)
-    return navigate_control(driver, ground, inputs.goals, tick, own, inputs.committed)
+        return waypoint_command(driver, memory, goals, own)
+    return navigate_control(driver, ground, goals, inputs.tick, own, inputs.committed)
 
 
 @compiled
@@ -300,17 +299,6 @@ def command(
     driver: Parameters,
     memory: Memory,
     inputs: DriverInputs,
-    tick: int,
-    own: Motion,
 ) -> tuple[float, float]:
-    """Return the command [m/s²].
-
-    Args:
-        ugv: Constants of the UGV.
-        driver: Parameters of this driver.
-        memory: Changed in place.
-        inputs: Goals, script, and messages received in this tick.
-        tick: Current tick.
-        own: State of the UGV.
-    """
-    return _command(driver, memory, inputs, inputs.ground, tick, own)
+    """Return the acceleration that drives from goal to goal around known hazards [m/s²]."""
+    return _command(driver, memory, inputs, inputs.ground)

@@ -1,4 +1,8 @@
-"""Inputs of every driver: the constants of one UGV, and the messages of a tick."""
+"""Contract of a driver: a compiled function `command(ugv, driver, memory, inputs)`.
+
+It returns the acceleration [m/s²]. Its arguments are `UgvParameters`; the `Parameters` of the driver; its `Memory`,
+changed in place; and `DriverInputs`.
+"""
 
 from typing import Any, NamedTuple
 
@@ -7,6 +11,7 @@ import msgspec
 from agents.drivers.steering import Steering
 from bus.messages.vehicle import UgvBriefing
 from sim.compiling.compile import FloatArray
+from sim.models.vehicles import Motion
 
 
 class UgvParameters(msgspec.Struct, frozen=True, kw_only=True):
@@ -26,8 +31,11 @@ class UgvParameters(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class DriverInputs(NamedTuple):
-    """Goals and script of a UGV, and the messages received in a tick."""
+    """Knowledge of one UGV in a tick: its state, goals and script, and the messages received."""
 
+    tick: int
+    own: Motion
+    """Its position [m] and velocity [m/s]."""
     goals: FloatArray
     """Waypoints [m], in order. Shape (goals, 2)."""
     script: FloatArray

@@ -11,7 +11,7 @@ import numpy as np
 from agents.drivers.parameters import DriverInputs, UgvParameters
 from agents.drivers.steering import velocity_control
 from sim.compiling.compile import compiled
-from sim.models.vehicles import Motion, brake
+from sim.models.vehicles import brake
 
 
 class Parameters(msgspec.Struct, frozen=True, kw_only=True):
@@ -28,20 +28,9 @@ def command(
     driver: Parameters,
     memory: Memory,
     inputs: DriverInputs,
-    tick: int,
-    own: Motion,
 ) -> tuple[float, float]:
-    """Return the command [m/s²].
-
-    Args:
-        ugv: Constants of the UGV.
-        driver: Parameters of this driver.
-        memory: Changed in place.
-        inputs: Goals, script, and messages received in this tick.
-        tick: Current tick.
-        own: State of the UGV.
-    """
-    script = inputs.script
+    """Return the acceleration that follows the timed velocities of the script [m/s²]."""
+    script, tick, own = inputs.script, inputs.tick, inputs.own
     started = np.searchsorted(script[:, 0], float(tick), side="right")
     if started == 0:
         return brake(own.v_x, own.v_y, ugv.max_acceleration, ugv.dt)

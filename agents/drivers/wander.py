@@ -84,17 +84,6 @@ def command(
     driver: Parameters,
     memory: Memory,
     inputs: DriverInputs,
-    tick: int,
-    own: Motion,
 ) -> tuple[float, float]:
-    """Return the command [m/s²].
-
-    Args:
-        ugv: Constants of the UGV.
-        driver: Parameters of this driver.
-        memory: Changed in place.
-        inputs: Goals, script, and messages received in this tick.
-        tick: Current tick.
-        own: State of the UGV.
-    """
-    return wander_command(ugv, driver, memory, tick, own)
+    """Return the acceleration that drives to random points [m/s²]."""
+    return wander_command(ugv, driver, memory, inputs.tick, inputs.own)

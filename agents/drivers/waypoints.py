@@ -47,17 +47,6 @@ def command(
     driver: Parameters,
     memory: Memory,
     inputs: DriverInputs,
-    tick: int,
-    own: Motion,
 ) -> tuple[float, float]:
-    """Return the command [m/s²].
-
-    Args:
-        ugv: Constants of the UGV.
-        driver: Parameters of this driver.
-        memory: Changed in place.
-        inputs: Goals, script, and messages received in this tick.
-        tick: Current tick.
-        own: State of the UGV.
-    """
-    return waypoint_command(ugv, memory, inputs.goals, own)
+    """Return the acceleration that drives from goal to goal [m/s²]."""
+    return waypoint_command(ugv, memory, inputs.goals, inputs.own)

@@ -32,7 +32,7 @@ _PARAMETERS = {row.module.replace(".", "_"): row.parameters for row in reversed(
 """Class of the parameters of each law by the same name."""
 _SEPARATE = {_ALL_CODES[name] for name, row in _ROWS.items() if row.separate or row.own}
 law_command = commands({name: module.command for name, module in _MODULES.items()})
-"""`law_command(code, uav, parameters, memory, (inputs,))`: command of the law with this code, before the bound of (1).
+"""`law_command(code, uav, parameters, memory, inputs)`: command of the law with this code, before the bound of (1).
 
 `parameters`, `memory`: records that nest one record for each law in use.
 """

@@ -139,10 +139,8 @@ def _drive(
     committed = batch.flown[world, vehicle, 0].begins if one.follows_motions else PLAIN
     late = tables.late[row_of(tables.late.shape[0], world), ugv]
     memory = grid_of(state.grids, late, world, ugv)
-    inputs = DriverInputs(goals, script, radio, arrived, memory, committed)
-    one.outgoing[0], one.outgoing[1] = driver_command(
-        tables.drivers, state.drivers, place, inputs, tick, here
-    )
+    inputs = DriverInputs(tick, here, goals, script, radio, arrived, memory, committed)
+    one.outgoing[0], one.outgoing[1] = driver_command(tables.drivers, state.drivers, place, inputs)
     if ground is not None:
         record_claim(ground.missions[world], ugv, memory.flags[0].claim)
         if one.follows_motions:

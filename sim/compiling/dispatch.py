@@ -90,7 +90,7 @@ def commands(functions: Mapping[str, Function]) -> Function:
     """Return a function for compiled code that computes a vehicle's command by its own law or driver.
 
     `call(code, vehicle, parameters, memory, inputs)` calls the function with this index as `function(vehicle,
-    parameters.name, memory.name, *inputs)`. Both records nest one record for each name. A function whose name they lack
+    parameters.name, memory.name, inputs)`. Both records nest one record for each name. A function whose name they lack
     is not compiled; if it is called nevertheless, the command is NaN. A name that is alone needs no selection.
 
     Args:
@@ -126,11 +126,11 @@ def commands(functions: Mapping[str, Function]) -> Function:
         @register_jitable
         def choose(code: Any, vehicle: Any, parameters: Any, memory: Any, inputs: Any) -> Any:
             if code == i:
-                return first(vehicle, parameters[own_i], memory[own_i], *inputs)
+                return first(vehicle, parameters[own_i], memory[own_i], inputs)
             if code == j:
-                return second(vehicle, parameters[own_j], memory[own_j], *inputs)
+                return second(vehicle, parameters[own_j], memory[own_j], inputs)
             if code == k:
-                return third(vehicle, parameters[own_k], memory[own_k], *inputs)
+                return third(vehicle, parameters[own_k], memory[own_k], inputs)
             return np.nan, np.nan
 
         return choose
@@ -139,7 +139,7 @@ def commands(functions: Mapping[str, Function]) -> Function:
         function = functions[name]
 
         def only(code: Any, vehicle: Any, parameters: Any, memory: Any, inputs: Any) -> Any:
-            return function(vehicle, parameters[name], memory[name], *inputs)
+            return function(vehicle, parameters[name], memory[name], inputs)
 
         return only
 
