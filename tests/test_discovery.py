@@ -1,5 +1,7 @@
 """UAVs without a map of the buildings discover them, and see behind none of them."""
 
+import copy
+import pickle
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ from bus.messages.vehicle import UavCommand, UavObservation
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import InProcess, make_pilots
-from sim.engine.briefing import all_buildings
+from sim.engine.briefing import all_buildings, uav_briefing
 from sim.models.camera import range_at
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
@@ -167,6 +169,21 @@ def test_batch_and_environment_discover_like_a_run(flown: Flown) -> None:
     while env.agents:
         seen, *_ = env.step({name: policies[name](seen[name]) for name in env.agents})
     assert np.array_equal(env.world.reference_position, world.reference_position)
+
+
+@pytest.mark.parametrize(
+    "duplicate",
+    [copy.deepcopy, lambda pilot: pickle.loads(pickle.dumps(pilot))],  # noqa: S301
+)
+def test_copied_pilot_flies_as_the_original(flown: Flown, duplicate: Any) -> None:
+    """Copied in flight, when it knows some of the buildings."""
+    pilot, end = UavPilot(uav_briefing(flown.flight.scenario, "uav_0", SEED)), min(flown.found) + 1
+    for one in flown.seen[:end]:
+        pilot.act(one)
+    other = duplicate(pilot)
+    for one in flown.seen[end : end + 20]:
+        assert other.act(one) == pilot.act(one)
+    assert np.array_equal(other.coverage, pilot.coverage)
 
 
 def test_a_vehicle_that_rejoins_learns_of_them_again(flown: Flown) -> None:
