@@ -15,8 +15,7 @@ from bus.messages.telemetry import EscortTruth, Status
 from bus.messages.vehicle import Detection, Teleoperation, UavObservation
 from flights import altered
 from outrider.cli.console import OUT, print_summary
-from outrider.running.altitude_assumptions import certified_from
-from outrider.running.assumptions import assumption_warnings, how_certifiable
+from outrider.running.assumptions import assumption_warnings, certified_from, how_certifiable
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import summarize
 from processes import flown_both_ways

@@ -21,7 +21,7 @@ from bus.messages.links import LinkKind
 from bus.observations import ALTITUDE, GRADIENT, STATE, UAV, UAV_STATE, UGV, UGV_STATE
 from bus.plugins import GROUPS
 from outrider.cli.main import make_app
-from outrider.running.altitude_assumptions import certified_from
+from outrider.running.assumptions import certified_from
 from outrider.running.user_code import check_own_functions
 from pages import PAGES, ROOT, blocks, run_shown
 from processes import ran, started, wait_until

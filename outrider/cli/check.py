@@ -6,7 +6,11 @@ import typer
 
 from outrider.cli import options
 from outrider.cli.console import OUT, print_json, print_warnings
-from outrider.running.assumptions import assumption_warnings, how_certifiable
+from outrider.running.assumptions import (
+    assumption_warnings,
+    certified_from,
+    how_certifiable,
+)
 from outrider.running.resolve import resolve
 from outrider.running.user_code import check_own_functions, foreign_code
 from sim.scenario.checks import scenario_warnings
@@ -37,7 +41,6 @@ def command(
 
     Example: outrider check my-scenario.toml --network wifi-poor
     """
-    from outrider.running.altitude_assumptions import certified_from
     from outrider.running.first_tick import check_first_tick
     from sim.engine.briefing import uav_briefing
 

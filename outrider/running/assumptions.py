@@ -2,7 +2,10 @@
 
 docs/explanation/proof.md numbers the assumptions: A1 bounds the error of a detection, A2 the age of the newest
 one, A5' the time from the start of one plan to the start of the next, and A6' the tracking error. Wind, links and
-detector may break them.
+detector may break them. Below some altitude, nothing can be certified.
+
+A cautious UGV is certified to stay on tiles that it knows to be drivable, see docs/explanation/ground.md. Lost, late
+and reordered commands break none of its assumptions: each command carries the stop that follows it.
 """
 
 import functools
@@ -13,13 +16,18 @@ from typing import NamedTuple
 import msgspec
 
 from agents.safety.handover import check_assumptions
-from agents.safety.levels import bounds_of
+from agents.safety.levels import (
+    bounds_at,
+    bounds_of,
+    least_altitude,
+    lowest_certified,
+    radius_at,
+)
 from bus.messages.links import LinkKind
+from bus.messages.vehicle import UavBriefing
 from bus.numbers import above, exact
-from bus.registry import LAWS
+from bus.registry import CAUTIONS, LAWS
 from bus.ticks import TICK_TOLERANCE
-from outrider.running.altitude_assumptions import altitude_fault, low_start
-from outrider.running.ground_assumptions import ground_warnings
 from outrider.running.link_assumptions import (
     RARE,
     Finding,
@@ -31,6 +39,7 @@ from outrider.running.link_assumptions import (
     percent,
 )
 from sim.engine.briefing import (
+    hiding_fault,
     largest_tracking_error,
     monitored_bounds,
     noise_range,
@@ -38,11 +47,17 @@ from sim.engine.briefing import (
     uav_briefing,
 )
 from sim.models.detection import error_share
+from sim.models.ground import span
+from sim.models.hazards import BLOCK, TOUCH
 from sim.models.safety import SafetyBounds
-from sim.scenario.types import LinkTable, Scenario, Uav
+from sim.scenario.clearance import report_faults
+from sim.scenario.ground_tables import ground_tables
+from sim.scenario.types import LinkTable, Scenario, Uav, Ugv
 
 GUIDE = "docs/how-to/keep-sight.md"
 """Page that explains the bounds of a certificate and how to choose them."""
+_GROUND_GUIDE = "docs/explanation/ground.md"
+"""Page that explains the guarantee of a cautious UGV."""
 _TIMES = (0.1, 0.2, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 30.0)
 """Bounds that are tried as suggestions, from the cheapest on [s]."""
 _VERDICTS = {
@@ -260,3 +275,106 @@ def _rounded_up(value: float) -> float:
         return value
     step = 10.0 ** (math.floor(math.log10(value)) - 2)
     return float(f"{math.ceil(value / step * (1.0 - TICK_TOLERANCE)) * step:.3g}")
+
+
+def certified_from(briefing: UavBriefing) -> str:
+    """Return the lowest certified altitude and its cause in one clause; empty in the plane, or if there is none."""
+    lowest = lowest_certified(briefing)
+    if lowest is None:
+        return ""
+    return f"sight can be certified at {_up(lowest)} m or higher{_cause(briefing, lowest)}"
+
+
+def _up(altitude: float) -> str:
+    """Return an altitude, rounded up to a centimetre, as text."""
+    return f"{math.ceil(100.0 * altitude) / 100.0:.2f}"
+
+
+def _cause(briefing: UavBriefing, lowest: float) -> str:
+    """Return why sight can be certified from an altitude [m] on, as the end of a sentence."""
+    own, camera = briefing.altitude, briefing.camera
+    if own is None or camera is None:
+        return ""
+    if lowest <= own.min_altitude:
+        return ", from the lowest altitude of the UAV on"
+    if lowest <= least_altitude(briefing):
+        return (
+            f", that is {exact(own.vertical_clearance)} m above the highest building "
+            f"({exact(briefing.max_building_height or 0.0)} m)"
+        )
+    seen = (lowest - briefing.marker_height) * math.tan(camera.half_angle)
+    if radius_at(briefing, lowest) >= seen - 1e-6:
+        return f"; there, the camera sees a UGV within {seen:.2f} m"
+    return (
+        f"; there, buildings up to {exact(briefing.max_building_height or 0.0)} m high cannot hide a UGV that is "
+        f"within {radius_at(briefing, lowest):.2f} m and at least {exact(briefing.building_clearance)} m from them"
+    )
+
+
+def altitude_fault(scenario: Scenario, uav: Uav, briefing: UavBriefing) -> str:
+    """Return why the altitudes or buildings of a scenario prevent certificates; empty if they do not.
+
+    Args:
+        scenario: The scenario.
+        uav: The UAV.
+        briefing: Its briefing.
+    """
+    if briefing.altitude is None:
+        return ""
+    (escorted,) = (ugv for ugv in scenario.ugv if ugv.name == uav.escorts)
+    fault = hiding_fault(scenario, escorted)
+    if fault:
+        return f"{uav.escorts} guarantees no distance from buildings, which may hide it: {fault}"
+    lowest = lowest_certified(briefing)
+    if lowest is None:
+        highest = briefing.altitude.max_altitude
+        floor = least_altitude(briefing)
+        if floor > highest:
+            needed = f"the {above(floor, highest)} m that clear the highest building"
+            return f"max_altitude = {exact(highest)} m: lower than {needed}"
+        if bounds_at(briefing).valid:
+            return (
+                f"even at max_altitude = {exact(highest)} m the UGV is visible within "
+                f"{radius_at(briefing, highest):.2f} m only; raise max_altitude, camera.half_angle or "
+                "ugv.building_clearance"
+            )
+    return ""
+
+
+def low_start(scenario: Scenario, uav: Uav, briefing: UavBriefing) -> str:
+    """Return why sight is not certified before the safety filter has climbed; empty if it need not climb.
+
+    Arguments as in `altitude_fault`.
+    """
+    if briefing.altitude is None or scenario.altitude.law != "fixed":
+        return ""
+    lowest, start = lowest_certified(briefing), briefing.altitude.initial_altitude
+    if lowest is None or start >= lowest:
+        return ""
+    return f"initial_altitude = {exact(start)} m: too low, so the safety filter climbs; {certified_from(briefing)}"
+
+
+def ground_warnings(scenario: Scenario) -> Iterator[str]:
+    """Warn of each cautious UGV that navigates without the guarantee, and name the broken assumption."""
+    if not scenario.has_ground:
+        return
+    for k, ugv in enumerate(scenario.ugv):
+        if ugv.driver == "navigate" and ugv.caution == CAUTIONS[0]:
+            reports = () if scenario.only_known_buildings else report_faults(scenario, ugv)
+            for reason in (*_start_faults(scenario, k, ugv), *reports):
+                yield f"{ugv.name}: not certified to stay on known tiles: {reason}; see {_GROUND_GUIDE}"
+
+
+def _start_faults(scenario: Scenario, k: int, ugv: Ugv) -> Iterator[str]:
+    """Yield the faults of a start: the UGV must be at rest, and all tiles that it touches drivable."""
+    if ugv.velocity != (0.0, 0.0):
+        yield f"ugv.{k}.velocity = {list(ugv.velocity)}: the UGV starts moving; allowed: 0"
+    tiles, tile = ground_tables(scenario).tiles, scenario.ground.tile
+    rows, columns = tiles.shape
+    x, y = ugv.position
+    around = tiles[
+        slice(*span(y - TOUCH, y + TOUCH, tile, rows)),
+        slice(*span(x - TOUCH, x + TOUCH, tile, columns)),
+    ]
+    if (around == BLOCK).any():
+        yield f"ugv.{k}.position = {list(ugv.position)}: the UGV touches a blocked tile; move it"
