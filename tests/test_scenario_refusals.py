@@ -277,10 +277,7 @@ camera.half_angle=1.6 | camera.half_angle = 1.6: out of bounds; allowed: a numbe
 camera.half_angle=0 | camera.half_angle = 0: out of bounds; allowed: a number > 0
 uav.0.initial_altitude=inf | uav.0.initial_altitude = inf: out of bounds; allowed: a number <= 100000
 sead=3 | sead = 3: unknown field, did you mean 'seed'?; allowed: name, title, seed, duration, dt
-hold=1.0 | hold = 1.0: renamed to command_timeout
-links.commands.jitter_cut=0.1 | links.commands.jitter_cut = 0.1: renamed to max_jitter
-certificate.risk=0.01
-| certificate.risk = 0.01: unknown field; allowed: the bounds printed by `outrider network bounds SCENARIO --risk
+certificate.risk=0.01 | certificate.risk = 0.01: unknown field; allowed: max_measurement_error, max_measurement_age
 law.nmae=circle | law.nmae = "circle": unknown field, did you mean 'name'?; allowed: name, parameters
 law.speed_gain=2 | law.speed_gain = 2: unknown field, did you mean 'law.parameters.speed_gain'?
 coverage.covered=[{lower=[1, 1], uper=[2, 2]}]

@@ -11,7 +11,6 @@ from msgspec import inspect
 from bus.errors import ScenarioError
 from bus.registry import HAZARDS
 from sim.input.faults import Fault, near, one_line, short
-from sim.input.renamed import new_name
 
 Typed = TypeVar("Typed", bound=msgspec.Struct)
 
@@ -137,8 +136,6 @@ def _fault(message: str, raw: Any, kind: type[msgspec.Struct]) -> Fault:  # noqa
             needed = _NEEDED.get(f"{path[0]}.{key}" if path else key, _NEEDED.get(key))
             return Fault(field, None, "missing", needed or "[x, y] in m")
         fields = _fields(kind, path)
-        if new := new_name(path, key):
-            return Fault(field, raw[key], f"renamed to {new}", ".".join([*path, new]))
         meant = near(key, fields)
         if not meant and "parameters" in fields:
             meant = f", did you mean '{here}.parameters.{key}'?"

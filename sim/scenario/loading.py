@@ -167,19 +167,6 @@ def _with_saved_drivers(raw: dict[str, object], *, file: str) -> None:
         ugv["driver"], raw["custom"] = own.name, custom
 
 
-def _refuse_risk(raw: dict[str, object], *, file: str) -> None:
-    """Reject `certificate.risk`, and name the command that replaces it.
-
-    Raises:
-        ScenarioError: If the scenario has this field.
-    """
-    certificate = raw.get("certificate")
-    if isinstance(certificate, dict) and "risk" in certificate:
-        wrong = "unknown field"
-        allowed = "the bounds printed by `outrider network bounds SCENARIO --risk 1e-3`"
-        raise Fault("certificate.risk", certificate["risk"], wrong, allowed).error(file)
-
-
 def load_scenario(source: str | Path = DEFAULT_SCENARIO, *, overrides: Overrides = ()) -> Scenario:
     """Read and validate a scenario.
 
@@ -206,7 +193,6 @@ def load_scenario(source: str | Path = DEFAULT_SCENARIO, *, overrides: Overrides
         apply_override(raw, key, value, file=file)
     if isinstance(raw.get("area"), dict):
         raw["area"] = {**msgspec.to_builtins(DEFAULT_AREA), **raw["area"]}
-    _refuse_risk(raw, file=file)
     _with_names(raw)
     _with_saved_drivers(raw, file=file)
     with_profiles(raw, file=file)
