@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError
 
@@ -220,6 +221,27 @@ def test_ctrl_c_during_the_imports_is_one_line(tmp_path) -> None:
     path = os.pathsep.join((str(tmp_path), os.environ.get("PYTHONPATH", "")))
     run = outrider("check", "escort", env=os.environ | {"PYTHONPATH": path})
     assert (run.returncode, run.stdout, run.stderr) == (130, "", "outrider: interrupted\n")
+
+
+@pytest.mark.parametrize("own", ["", "(app: (worker_threads: 3))"])
+def test_a_command_uses_one_zenoh_thread_unless_the_user_chooses(own: str) -> None:
+    code = (
+        "import contextlib, os, sys; sys.argv = ['outrider', '--version']\n"
+        "from outrider.cli.main import main\n"
+        "with contextlib.suppress(SystemExit):\n"
+        "    main()\n"
+        "print(os.environ['ZENOH_RUNTIME'])"
+    )
+    given = {name: value for name, value in os.environ.items() if name != "ZENOH_RUNTIME"}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=given | ({"ZENOH_RUNTIME": own} if own else {}),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    chosen = done.stdout.splitlines()[-1]
+    assert chosen == own if own else "app: (worker_threads: 1)" in chosen
 
 
 def test_a_file_name_that_is_no_text_is_one_line(here, command) -> None:
