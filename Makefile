@@ -7,7 +7,7 @@ PIP    := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-che
 
 .DEFAULT_GOAL := help
 # Distribute whole files, in the order of tests/conftest.py.
-WORKERS := -n 2 --dist loadscope --no-loadscope-reorder
+WORKERS := -n auto --dist loadscope --no-loadscope-reorder
 LEARNERS := sb3 torchrl rllib supersuit
 
 SEQUENCES := 60
