@@ -5,6 +5,7 @@ A call from Python passes one array for all fields, and a record needs no refere
 
 import functools
 import math
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
 from types import UnionType
@@ -76,9 +77,14 @@ def code(member: Enum) -> int:
     return 1 + list(type(member)).index(member)
 
 
+@functools.cache
+def _members(kinds: type[_E]) -> tuple[_E, ...]:
+    return tuple(kinds)
+
+
 def choice(kinds: type[_E], number: int) -> _E | None:
     """Return the enum member with this `code`; None for 0."""
-    return list(kinds)[number - 1] if number else None
+    return _members(kinds)[number - 1] if number else None
 
 
 def fill(row: Any, value: Any) -> None:  # noqa: ANN401 - a record, and what its class was made from
@@ -107,10 +113,19 @@ def row_of(rows: int, world: int) -> int:
     return min(world, rows - 1)
 
 
+@functools.cache
+def _places(fields: Callable[..., Any], dtype: np.dtype[Any]) -> Callable[[Any], tuple[Any, ...]]:
+    """Return a function that picks the fields of a struct out of the values of a record."""
+    names = dtype.names or ()
+    return operator.itemgetter(
+        *(names.index(name) for name in getattr(fields, "__struct_fields__", ()))
+    )
+
+
 def struct_of(fields: Callable[..., _T], row: Any) -> _T:  # noqa: ANN401 - a record
-    """Return the struct of a record with all its fields, and possibly more."""
-    values = (row[name].tolist() for name in getattr(fields, "__struct_fields__", ()))
-    return fields(*(tuple(one) if isinstance(one, list) else one for one in values))
+    """Return the struct of a record with all its fields, and possibly more; it has at least two."""
+    values = _places(fields, row.dtype)(row.tolist())
+    return fields(*(tuple(one.tolist()) if isinstance(one, np.ndarray) else one for one in values))
 
 
 def fresh(fields: type, shape: tuple[int, ...] = (1,)) -> RecordArray:

@@ -45,7 +45,8 @@ NO_CHECKED = records(
     [CheckedTrajectory(begins=NO_MOTION, parent=NO_MOTION, acceleration=(0.0, 0.0))],
 )
 """Empty row of `CheckedTrajectory`. Shape (1,)."""
-_TRAVELS = list(BackupTrajectory.__struct_fields__)
+_LOCAL = NO_CHECKED[0].tolist()[: -len(BackupTrajectory.__struct_fields__)]
+"""Values of the fields that are not sent; they come first."""
 
 
 def no_motions(*shape: int) -> RecordArray:
@@ -135,6 +136,6 @@ def keep_motion(motions: RecordArray, motion: CheckedTrajectory, tick: int) -> N
 
 def received_motion(trajectory: BackupTrajectory) -> RecordArray:
     """Return a trajectory from a message as a table of one row."""
-    row = no_motions(1)
-    row[_TRAVELS] = msgspec.structs.astuple(trajectory)
+    row: RecordArray = NO_CHECKED.copy()
+    row[0] = (*_LOCAL, *msgspec.structs.astuple(trajectory))
     return row

@@ -53,6 +53,7 @@ class Perception(ABC):
         self.news: dict[int, News] = {}
         """News by tick; only ticks with news."""
         self._world, self._episode = world, episode
+        self._flies = bool(world.vertical[self.row]["flies"])
         self._dt, self._grounded = world.parameters.dt, world.scenario.has_ground
         self._ground: dict[int, tuple[TileReport, ...]] = {}
         self._now: tuple[Any, ...] = ()  # messages that have arrived at the world's tick
@@ -76,7 +77,10 @@ class Perception(ABC):
         vehicle = self._world.vehicles[self.row]
         x, y = vehicle["reference_position"].tolist()
         v_x, v_y = vehicle["reference_velocity"].tolist()
-        height = vehicle["vertical"]["altitude"].item(), vehicle["vertical"]["rate"].item()
+        height = 0.0, 0.0
+        if self._flies:
+            vertical = vehicle["vertical"]
+            height = vertical["altitude"].item(), vertical["rate"].item()
         motion = (x, y), (v_x, v_y), height
         return self._observation(self._world.tick, motion, self._now, over=over)
 
@@ -150,7 +154,6 @@ class UavPerception(Perception):
     def __init__(self, world: World, name: str, episode: int) -> None:
         super().__init__(world, name, episode)
         self._uav = [uav.name for uav in world.uavs].index(name)
-        self._flies = bool(world.vertical[self.row]["flies"])
         self._buildings: dict[int, tuple[Building, ...]] = {}  # by tick of discovery
 
     def receive(self, tick: int) -> None:
