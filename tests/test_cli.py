@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError
 
@@ -13,7 +12,7 @@ from bus import plugins
 from bus.locator import Locator
 from bus.plugins import registered
 from outrider.cli.main import COMMANDS
-from processes import outrider
+from processes import outrider, python
 from tabular import rows, words
 
 GROUPS = {"scenarios", "network", "fmu"}
@@ -233,14 +232,8 @@ def test_a_command_uses_one_zenoh_thread_unless_the_user_chooses(own: str) -> No
         "print(os.environ['ZENOH_RUNTIME'])"
     )
     given = {name: value for name, value in os.environ.items() if name != "ZENOH_RUNTIME"}
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=given | ({"ZENOH_RUNTIME": own} if own else {}),
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    chosen = done.stdout.splitlines()[-1]
+    given |= {"ZENOH_RUNTIME": own} if own else {}
+    chosen = python(code, env=given).stdout.splitlines()[-1]
     assert chosen == own if own else "app: (worker_threads: 1)" in chosen
 
 
