@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import math
 import os
 import re
 import signal
@@ -88,8 +89,10 @@ def wait_for(there: Callable[[], bool], process: "subprocess.Popen[str]") -> Non
     wait_until(came, 60.0)
 
 
-def parts(folder: Path) -> int:
-    return len(list((folder / "parts").glob("*.parquet")))
+def stored(folder: Path) -> int:
+    """Return the number of complete lines of an unfinished sweep."""
+    rows = folder / "results.jsonl"
+    return rows.read_bytes().count(b"\n") if rows.exists() else 0
 
 
 # Runs
@@ -197,33 +200,67 @@ def test_sweep_resumes_and_flies_nothing_twice(tmp_path, small_rows):
     with SweepFolder(tmp_path / "cut", plan, command="") as folder:
         for run in (0, 4, 5):
             folder.add(fly_runs(plan.points[run // 3].scenario, {run: plan.seed_of(run)}))
-    (tmp_path / "cut" / "parts" / "00000009.parquet.unfinished").write_bytes(b"half of it")
+    (tmp_path / "cut" / "results.parquet.unfinished").write_bytes(b"half of it")
     new: list[int] = []
-    with SweepFolder(tmp_path / "cut", plan, command="") as again:
+    with SweepFolder(tmp_path / "cut", plan, command="", on_notice=pytest.fail) as again:
         assert again.done == {0, 4, 5}
         fly_sweep(plan, again, jobs=1, on_results=lambda rows: new.extend(r["run"] for r in rows))
         again.finish()
     assert sorted(new) == [1, 2, 3, 6, 7, 8, 9, 10, 11]
     assert rows_of(tmp_path / "cut") == small_rows
-    assert not list((tmp_path / "cut" / "parts").iterdir())
+    assert sorted(path.name for path in (tmp_path / "cut").iterdir()) == [
+        ".lock",
+        "results.parquet",
+        "sweep.json",
+    ]
 
 
-def test_small_files_are_merged_and_duplicate_rows_dropped(tmp_path, monkeypatch):
-    monkeypatch.setattr("outrider.experiments.sweep.folder._MOST_PARTS", 5)
+def test_a_repeated_run_replaces_its_failed_row(tmp_path):
     plan = plan_of()
     (row,) = fly_runs(plan.points[0].scenario, {0: 0})
     with SweepFolder(tmp_path / "sweep", plan, command="") as folder:
         for number in range(11):
-            folder.add([{**row, "run": number, "error": "no" if number == 3 else None}])
-        assert parts(folder.path) < 6
+            margin = math.inf if number == 2 else 0.1 + 0.2
+            error = "no" if number == 3 else None
+            folder.add([{**row, "run": number, "error": error, "margin": margin}])
         assert (folder.rows, folder.failed) == (11, 1)
+        folder.finish()
         # run 3 was repeated; row 4 is already there
         folder.add([{**row, "run": 3}, {**row, "run": 4}])
         assert (folder.rows, folder.failed) == (11, 0)
+        unfinished = rows_of(folder.path)
         folder.finish()
     rows = rows_of(folder.path)
     assert rows["run"] == list(range(11))
     assert set(rows["error"]) == {None}
+    assert rows["margin"][:3] == [0.1 + 0.2, 0.1 + 0.2, math.inf]
+    assert rows == unfinished
+
+
+@pytest.mark.parametrize(
+    "cut",
+    [b"", b"{", b'{"run": 5, "bl', b"\0" * 100, b'{"run": \xff\n', b"[]\n"],
+    ids=["end", "brace", "half", "zeros", "no text", "no row"],
+)
+def test_a_damaged_last_line_is_skipped_and_its_run_repeated(tmp_path, small_rows, cut):
+    plan, notices = plan_of(), list[str]()
+    with SweepFolder(tmp_path / "cut", plan, command="") as folder:
+        for run in (0, 4):
+            folder.add(fly_runs(plan.points[run // 3].scenario, {run: plan.seed_of(run)}))
+    file = folder.path / "results.jsonl"
+    content = file.read_bytes()
+    file.write_bytes(content + cut if cut else content[:-1])
+    head = read_head(folder.path)
+    assert head is not None
+    read = read_results(folder.path, head.columns, notices.append)["run"]
+    with SweepFolder(folder.path, plan, command="", on_notice=notices.append) as again:
+        assert again.done == set(read) == ({0, 4} if cut else {0})
+        assert len(notices) == 2
+        assert all("results.jsonl: damaged last line skipped" in line for line in notices)
+        fly_sweep(plan, again, jobs=1)
+        again.finish()
+    assert rows_of(folder.path) == small_rows
+    assert len(notices) == 2
 
 
 def test_interrupted_and_killed_sweep_resumes(tmp_path, undisturbed, command):
@@ -231,7 +268,7 @@ def test_interrupted_and_killed_sweep_resumes(tmp_path, undisturbed, command):
     folder = tmp_path / "sweep"
     swept = [*OUTRIDER, *GRID, *LONG, str(folder)]
     first = subprocess.Popen(swept, start_new_session=True, **PIPES)
-    wait_for(lambda: parts(folder) >= 1, first)
+    wait_for(lambda: stored(folder) >= 1, first)
     os.killpg(first.pid, signal.SIGINT)  # like a terminal: also to the workers
     out, err = first.communicate(timeout=60)
     assert first.returncode == 130, err
@@ -240,9 +277,9 @@ def test_interrupted_and_killed_sweep_resumes(tmp_path, undisturbed, command):
     wanted = f"{kept} of {LONG_PLAN.runs} runs are in {folder}; run the same command to resume"
     assert err.strip() == f"outrider: interrupted; {wanted}"
     wait_until(lambda: not _session(first.pid))
-    before = parts(folder)
+    before = stored(folder)
     victim = subprocess.Popen(swept, start_new_session=True, **PIPES)
-    wait_for(lambda: parts(folder) > before, victim)
+    wait_for(lambda: stored(folder) > before, victim)
     victim.kill()
     victim.communicate()
     wait_until(lambda: not _session(victim.pid))
@@ -441,21 +478,63 @@ def test_a_hostile_head_is_one_line(tmp_path, change):
 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1 and then nothing", "another table"])
-def test_a_damaged_part_is_named_with_what_to_do(tmp_path, content):
+def test_damaged_results_are_named_with_what_to_do(tmp_path, content):
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    with SweepFolder(tmp_path / "sweep", plan_of(), command=""):
+        pass
+    results = tmp_path / "sweep" / "results.parquet"
+    if isinstance(content, bytes):
+        results.write_bytes(content)
+    else:
+        pq.write_table(pa.table({"run": [1]}), results)
+    with refused(ScenarioError, r"results\.parquet: .*; delete the file to fly its runs again"):
+        SweepFolder(tmp_path / "sweep", plan_of(), command="")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        b'{"run": 1, "blo\n',
+        b"\xff\n",
+        b"[" * 100_000 + b"\n",
+        b"x" * (1 << 21) + b"\n",
+        b"[]\n",
+        b'{"run": 1}\n',
+        {"run": None},
+        {"run": 1e9},
+        {"run": 10**30},
+        {"error": 5},
+        {"max_distance": "far"},
+        {"extra": 1},
+    ],
+    ids=[
+        "half",
+        "no text",
+        "nested",
+        "long",
+        "list",
+        "columns",
+        "no run",
+        "real run",
+        "huge run",
+        "error",
+        "text",
+        "extra",
+    ],
+)
+def test_a_hostile_row_is_one_line(tmp_path, change):
     plan = plan_of()
     with SweepFolder(tmp_path / "sweep", plan, command="") as folder:
         folder.add(fly_runs(plan.points[0].scenario, {0: 0}))
-    part = tmp_path / "sweep" / "parts" / "00000001.parquet"
-    if isinstance(content, bytes):
-        part.write_bytes(content)
-    else:
-        pq.write_table(pa.table({"run": [1]}), part)
-    with refused(ScenarioError, r"00000001\.parquet: .*; delete the file to fly its runs again"):
+    file = tmp_path / "sweep" / "results.jsonl"
+    row = file.read_bytes()
+    other = change if isinstance(change, bytes) else json.dumps(json.loads(row) | change).encode()
+    file.write_bytes(other.rstrip(b"\n") + b"\n" + row)
+    with refused(ScenarioError, r"results\.jsonl: damaged: .*; delete the file to fly its runs"):
         SweepFolder(tmp_path / "sweep", plan, command="")
-    part.unlink()
+    file.unlink()
     SweepFolder(tmp_path / "sweep", plan, command="").close()
 
 

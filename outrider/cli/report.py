@@ -10,7 +10,7 @@ from rich.text import Text
 
 from bus.files import writing
 from bus.plugins import require
-from outrider.cli.console import ERR, OUT, print_json
+from outrider.cli.console import ERR, OUT, print_json, print_warnings
 from outrider.cli.options import Json
 from outrider.cli.standard_files import print_text
 
@@ -51,7 +51,7 @@ def command(
         from outrider.experiments.report.plots import draw_all
         from outrider.experiments.report.results import read_material
 
-        material = read_material(folders)
+        material = read_material(folders, lambda line: print_warnings([line]))
         where = out or (folders[0] / "report" if len(material.folders) == 1 else Path("report"))
         where.mkdir(parents=True, exist_ok=True)
         pictures = draw_all(material, where)

@@ -113,7 +113,12 @@ def command(
     print_warnings(plan.warnings)
     began = time.monotonic()
     with SweepFolder(
-        where, plan, command=shlex.join(["outrider", *sys.argv[1:]]), text=text, fresh=fresh
+        where,
+        plan,
+        command=shlex.join(["outrider", *sys.argv[1:]]),
+        text=text,
+        fresh=fresh,
+        on_notice=lambda line: print_warnings([line]),
     ) as folder:
         before = len(folder.done)
         try:

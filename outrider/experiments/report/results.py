@@ -1,8 +1,9 @@
 """Results of sweeps, arranged for a report: panels with the runs of each law at each value."""
 
+import logging
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from bus.registry import LAWS
 from outrider.experiments.intervals import wilson_interval
 from outrider.experiments.report.labels import is_number, label_of, value_of
 from outrider.experiments.sweep.folder import SweepHead, read_head, read_results
+
+_LOG = logging.getLogger("outrider.report")
 
 
 @dataclass(slots=True)
@@ -130,13 +133,13 @@ def _rising(values: Sequence[Any]) -> list[Any]:
     return sorted(numbers) + [value for value in once if value not in numbers]
 
 
-def _read(folder: Path) -> tuple[SweepHead, list[dict[str, Any]]]:
+def _read(folder: Path, on_notice: Callable[[str], None]) -> tuple[SweepHead, list[dict[str, Any]]]:
     head = read_head(folder)
     if head is None:
         raise ScenarioError(
             f"{folder}: not a folder of a sweep; allowed: a folder made by `outrider sweep`"
         )
-    results = read_results(folder, head.columns)
+    results = read_results(folder, head.columns, on_notice)
     return head, [
         dict(zip(results, row, strict=True)) for row in zip(*results.values(), strict=True)
     ]
@@ -212,16 +215,19 @@ def _panels_of(block: _Block) -> Iterator[Panel]:
         )
 
 
-def read_material(folders: Sequence[Path]) -> Material:
+def read_material(
+    folders: Sequence[Path], on_notice: Callable[[str], None] = _LOG.warning
+) -> Material:
     """Read the results of sweeps, finished or not.
 
     Args:
         folders: One folder or more; experiments that they share are merged.
+        on_notice: Called with one line for the user, if a row is skipped.
 
     Raises:
         ScenarioError: If a folder does not belong to a sweep, has no rows yet, or is damaged.
     """
-    found = [(folder, *_read(folder)) for folder in dict.fromkeys(folders)]
+    found = [(folder, *_read(folder, on_notice)) for folder in dict.fromkeys(folders)]
     for folder, _, rows in found:
         if not rows:
             raise ScenarioError(f"{folder}: no results yet; resume the sweep")

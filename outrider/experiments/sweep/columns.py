@@ -18,6 +18,10 @@ RESULTS = columns()
 """Columns with a run's results, with their Parquet types; `outrider.running.metrics` explains them."""
 
 
+_MOST_REASON = 10_000
+"""Largest length of an error in a row."""
+
+
 def _link_columns(summary: Summary) -> dict[str, float | None]:
     """Return the merged metrics of all links of each kind."""
     found: dict[str, float | None] = {}
@@ -51,5 +55,5 @@ def row_of(summary: Summary, seconds: float) -> dict[str, Any]:
 
 def failed_row(error: Exception, seconds: float) -> dict[str, Any]:
     """Return the row of a failed run."""
-    reason = " ".join(f"{type(error).__name__}: {error}".split())
+    reason = " ".join(f"{type(error).__name__}: {error}".split())[:_MOST_REASON]
     return {**dict.fromkeys(RESULTS), "seconds": seconds, "error": reason}

@@ -1,13 +1,17 @@
 """Folder of a sweep: its definition and the results so far, consistent after a kill at any time.
 
-Every finished task, of about a second, is written to a Parquet file in `parts/`, under a temporary name that is changed
-at the end. When the sweep is complete, all files are merged into `results.parquet`. A kill loses only the runs in
-progress.
+The rows of each finished task, of about a second, are appended to `results.jsonl`. When the sweep is complete, they are
+merged into `results.parquet`. A kill loses only the runs in progress.
 """
 
 import fcntl
-import shutil
-from collections.abc import Iterable
+import json
+import logging
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from io import BufferedReader
+from itertools import islice
 from pathlib import Path
 from typing import Any, Self
 
@@ -16,20 +20,20 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from bus.errors import ScenarioError
-from bus.files import UNFINISHED, read_regular, write_whole
+from bus.files import UNFINISHED, open_regular, read_regular, write_whole, writing
 from outrider.experiments.sweep.definition import Sweep
 from outrider.experiments.sweep.plan import MOST_RUNS, SweepPlan
 from sim.input.faults import one_line
 
+_LOG = logging.getLogger("outrider.sweep")
 HEAD = "sweep.json"
 FILE = "sweep.toml"
 RESULTS = "results.parquet"
-PARTS = "parts"
+ROWS = "results.jsonl"
+"""Rows that are not merged yet, one JSON object per line; infinite numbers as Python's `json` writes them."""
 _LOCK = ".lock"
-_MOST_PARTS = 200
-"""Number of small files that are merged into one, as each takes a millisecond to read."""
-_MOST_HEAD, _MOST_TABLE = 4 << 20, 1 << 30
-"""Largest sizes of a head and of a table with results [bytes]."""
+_MOST_HEAD, _MOST_LINE, _MOST_TABLE = 4 << 20, 1 << 20, 1 << 30
+"""Largest sizes of a head, of a line and of a table with results [bytes]."""
 _BATCH = 1000
 """Number of rows unpacked at once."""
 
@@ -69,43 +73,76 @@ def _damaged(folder: Path, why: str) -> ScenarioError:
     return ScenarioError(f"{folder / HEAD}: damaged: {one_line(why)}; start again with --fresh")
 
 
-def _write_table(path: Path, table: pa.Table) -> None:
-    sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, compression="zstd")
-    write_whole(path, sink.getvalue().to_pybytes())
-
-
 def _read_table(path: Path, columns: dict[str, str]) -> pa.Table:
-    remedy = "delete the file to fly its runs again"
+    """Return the table of a Parquet file."""
     content = pa.BufferReader(read_regular(path, _MOST_TABLE))
-    try:  # without Arrow's threads, which may abort a process at its exit (apache/arrow#34314)
-        table = _unpacked(path, pq.ParquetFile(content, pre_buffer=False), columns)
-    except pa.ArrowException as error:
-        reason = " ".join(str(error).split()).rstrip(".")
-        raise ScenarioError(f"{path}: damaged: {reason}; {remedy}") from error
-    return table
+    with _damage(path):
+        # without Arrow's threads, which may abort a process at its exit (apache/arrow#34314)
+        file = pq.ParquetFile(content, pre_buffer=False)
+        if not file.schema_arrow.equals(schema_of(columns)):
+            raise ValueError("columns of another sweep")
+        _check_size(file.metadata.num_rows, 0)
+        return _table_of(file.iter_batches(_BATCH, use_threads=False), columns)
 
 
-def _unpacked(path: Path, file: pq.ParquetFile, columns: dict[str, str]) -> pa.Table:
-    """Return the table of a file; its size is checked before and while it is unpacked.
+def _read_rows(path: Path, columns: dict[str, str], on_notice: Callable[[str], None]) -> pa.Table:
+    """Return the table of a JSONL file.
 
-    Raises:
-        ScenarioError: If the table has other columns, or too many rows or bytes.
+    A damaged last line is skipped with a notice: a kill may leave one, and a sweep in progress may be writing one.
     """
-    if not file.schema_arrow.equals(schema_of(columns)):
-        raise ScenarioError(
-            f"{path}: columns of another sweep; delete the file to fly its runs again"
-        )
-    rows, size = file.metadata.num_rows, 0
+
+    def rows(file: BufferedReader) -> Iterator[dict[str, Any]]:
+        while line := file.readline(_MOST_LINE):
+            try:
+                row = json.loads(line) if line.endswith(b"\n") else None
+            except (ValueError, RecursionError):
+                row = None
+            if isinstance(row, dict) and row.keys() == columns.keys() and type(row["run"]) is int:
+                yield row
+            elif file.read(1):
+                raise ValueError("a line that is no row of this sweep")
+            else:
+                on_notice(f"{path}: damaged last line skipped; its run counts as missing")
+
+    with _damage(path), open_regular(path) as file:
+        schema, lines = schema_of(columns), rows(file)
+        parts = iter(lambda: list(islice(lines, _BATCH)), [])
+        return _table_of((pa.RecordBatch.from_pylist(part, schema) for part in parts), columns)
+
+
+def _drop_last_line(path: Path) -> None:
+    with path.open("r+b") as file:
+        begin = max(0, file.seek(0, os.SEEK_END) - _MOST_LINE)
+        file.seek(begin)
+        file.truncate(begin + file.read()[:-1].rfind(b"\n") + 1)
+
+
+def _table_of(batches: Iterable[pa.RecordBatch], columns: dict[str, str]) -> pa.Table:
+    """Return the table of some batches; its size is checked while they are unpacked."""
+    kept, rows, size = [], 0, 0
+    for batch in batches:
+        rows, size = rows + batch.num_rows, size + batch.nbytes
+        _check_size(rows, size)
+        kept.append(batch)
+    return pa.Table.from_batches(kept, schema=schema_of(columns))
+
+
+def _check_size(rows: int, size: int) -> None:
     if rows > MOST_RUNS:
-        raise ScenarioError(f"{path}: {rows:,} rows; allowed: {MOST_RUNS:,} at most")
-    batches = []
-    for batch in file.iter_batches(_BATCH, use_threads=False):
-        size += batch.nbytes
-        if size > _MOST_TABLE:
-            raise ScenarioError(f"{path}: too large; allowed: {_MOST_TABLE >> 30} GiB unpacked")
-        batches.append(batch)
-    return pa.Table.from_batches(batches, schema=file.schema_arrow)
+        raise ValueError(f"{rows:,} rows; allowed: {MOST_RUNS:,} at most")
+    if size > _MOST_TABLE:
+        raise ValueError(f"too large; allowed: {_MOST_TABLE >> 30} GiB unpacked")
+
+
+@contextmanager
+def _damage(path: Path) -> Iterator[None]:
+    """Report a file that cannot be read as damaged."""
+    try:
+        yield
+    except (pa.ArrowException, ValueError, TypeError, OverflowError) as error:
+        reason = one_line(" ".join(str(error).split()).rstrip("."))
+        remedy = "delete the file to fly its runs again"
+        raise ScenarioError(f"{path}: damaged: {reason}; {remedy}") from error
 
 
 def schema_of(columns: dict[str, str]) -> pa.Schema:
@@ -113,24 +150,30 @@ def schema_of(columns: dict[str, str]) -> pa.Schema:
     return pa.schema([(name, pa.type_for_alias(kind)) for name, kind in columns.items()])
 
 
-def read_results(folder: Path, columns: dict[str, str]) -> dict[str, list[Any]]:
+def read_results(
+    folder: Path, columns: dict[str, str], on_notice: Callable[[str], None] = _LOG.warning
+) -> dict[str, list[Any]]:
     """Return all rows of a folder by column, in the order of run numbers; the sweep may be unfinished.
 
     Args:
         folder: Folder of a sweep.
         columns: Columns from its head.
+        on_notice: Called with one line for the user, if a row is skipped.
 
     Raises:
         ScenarioError: If a file is damaged.
     """
-    paths = (folder / RESULTS, *sorted((folder / PARTS).glob("*.parquet")))
-    tables = [_read_table(path, columns) for path in paths if path.exists()]
+    tables: list[pa.Table] = []
+    with suppress(FileNotFoundError):  # first, as a sweep that finishes meanwhile moves its rows
+        tables.append(_read_rows(folder / ROWS, columns, on_notice))
+    with suppress(FileNotFoundError):
+        tables.insert(0, _read_table(folder / RESULTS, columns))
     if not tables:
         return {name: [] for name in columns}
     table = pa.concat_tables(tables)
     runs, errors = table["run"].to_pylist(), table["error"].to_pylist()
     best: dict[int, int] = {}
-    # A run may occur twice: in a part that is merged already, or after a failure.
+    # A run may occur twice: in rows that are merged already, or after a failure.
     for k, run in enumerate(runs):
         if run not in best or errors[best[run]] is not None:
             best[run] = k
@@ -147,6 +190,7 @@ class SweepFolder:
         command: Command line that started the sweep.
         text: Text of the sweep's file, stored beside the results.
         fresh: True: delete existing results.
+        on_notice: Called with one line for the user, if a row is skipped.
 
     Raises:
         ScenarioError: If the folder holds another sweep or other files, or is in use.
@@ -154,9 +198,16 @@ class SweepFolder:
     """
 
     def __init__(
-        self, path: Path, plan: SweepPlan, *, command: str, text: str = "", fresh: bool = False
+        self,
+        path: Path,
+        plan: SweepPlan,
+        *,
+        command: str,
+        text: str = "",
+        fresh: bool = False,
+        on_notice: Callable[[str], None] = _LOG.warning,
     ) -> None:
-        self.path, self._plan = path, plan
+        self.path, self._plan, self._on_notice = path, plan, on_notice
         self._columns = plan.columns
         # Files other than these imply that there is a head.
         has_files = path.is_dir() and any(
@@ -189,19 +240,21 @@ class SweepFolder:
         self.close()
 
     def count_rows(self) -> None:
-        """Read the existing rows, and remove files that a kill has left incomplete."""
+        """Read the existing rows, and remove what a kill has left incomplete."""
         for left in self.path.rglob(f"*{UNFINISHED}"):
             left.unlink()
-        found = read_results(self.path, self._columns)
+        notices: list[str] = []
+        found = read_results(self.path, self._columns, notices.append)
         kept = zip(found["run"], found["error"], found["violated"], strict=True)
         self._rows = {run: (error is not None, bool(violated)) for run, error, violated in kept}
-        self._number = max((int(part.stem) for part in self._parts()), default=0)
+        for line in notices:
+            _drop_last_line(self.path / ROWS)
+            self._on_notice(line)
 
     def _clear(self) -> None:
         """Delete the sweep; its head last, so that the folder stays identifiable after a kill."""
         if (self.path / HEAD).exists():
-            shutil.rmtree(self.path / PARTS, ignore_errors=True)
-            for name in (RESULTS, FILE, HEAD):
+            for name in (ROWS, RESULTS, FILE, HEAD):
                 (self.path / name).unlink(missing_ok=True)
 
     def _claim(self, command: str, text: str) -> None:
@@ -230,10 +283,6 @@ class SweepFolder:
             raise ScenarioError(
                 f"{self.path}: holds another sweep; choose another --out, or start again with --fresh"
             )
-        self.path.joinpath(PARTS).mkdir(exist_ok=True)
-
-    def _parts(self) -> list[Path]:
-        return sorted((self.path / PARTS).glob("*.parquet"))
 
     @property
     def done(self) -> set[int]:
@@ -262,32 +311,26 @@ class SweepFolder:
             results: Results, each with its run number.
         """
         rows = [{**self._plan.head(result["run"]), **result} for result in results]
-        self._write_part(pa.Table.from_pylist(rows, schema=schema_of(self._columns)))
+        # a row as the table will hold it: all its columns, with Python's numbers
+        plain = pa.Table.from_pylist(rows, schema=schema_of(self._columns)).to_pylist()
+        path = self.path / ROWS
+        with writing(path), path.open("a", encoding="utf-8") as file:
+            file.writelines(json.dumps(row) + "\n" for row in plain)
+            file.flush()
+            os.fsync(file.fileno())
         self._rows |= {
             row["run"]: (row["error"] is not None, bool(row["violated"])) for row in rows
         }
-        if self._number % _MOST_PARTS == 0:
-            # Merge the small files; a kill in between leaves rows twice, which reading handles.
-            parts = self._parts()[-_MOST_PARTS:]
-            self._write_part(pa.concat_tables([_read_table(part, self._columns) for part in parts]))
-            for part in parts:
-                part.unlink()
-
-    def _write_part(self, table: pa.Table) -> None:
-        """Write a table as the next part."""
-        self._number += 1
-        _write_table(self.path / PARTS / f"{self._number:08d}.parquet", table)
 
     def finish(self) -> Path:
-        """Merge everything into one file."""
-        parts = self._parts()
-        if parts:
-            table = pa.table(
-                read_results(self.path, self._columns), schema=schema_of(self._columns)
-            )
-            _write_table(self.path / RESULTS, table)
-            for part in parts:
-                part.unlink()
+        """Merge all rows into one file."""
+        rows = self.path / ROWS
+        if rows.exists():
+            found, sink = read_results(self.path, self._columns), pa.BufferOutputStream()
+            table = pa.table(found, schema=schema_of(self._columns))
+            pq.write_table(table, sink, compression="zstd")
+            write_whole(self.path / RESULTS, sink.getvalue().to_pybytes())
+            rows.unlink()
         return self.path / RESULTS
 
     def close(self) -> None:
