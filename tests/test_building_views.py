@@ -15,12 +15,9 @@ pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 
 from bus.messages.buildings import Building
 from bus.messages.scenario import Law
-from bus.messages.telemetry import Truth
 from observed import recorded
 from outrider.recording.reader import Recording, entries, flight_of
 from outrider.recording.refly import refly, restore
-from outrider.recording.tick_rows import TickTexts
-from outrider.running.flying import InProcess, make_pilots
 from outrider.view.film import Film
 from sim.models.buildings import building_table, line_of_sight
 from sim.scenario.ground_types import AltitudeLaw
@@ -32,13 +29,11 @@ from sim.scene.footprints import label_point
 from sim.scene.ground_map import KNOWN, UNKNOWN, ground_map
 from sim.scene.known import scene_of
 from sim.scene.prism import prism, triangulated
-from sim.server.flight import Flight
 from sim.world import World
 
 COURT = ((0, 0), (6, 0), (6, 6), (4, 6), (4, 2), (2, 2), (2, 6), (0, 6))
 """A house with two wings; not convex."""
 SHED = Building(polygon=((20.0, 20.0), (22.0, 20.0), (22.0, 22.0)), height=2.0)
-ENCODE = msgspec.json.Encoder().encode
 
 
 def behind_a_house(**fields: object) -> Scenario:
@@ -133,18 +128,6 @@ def test_film_and_log_state_that_a_building_hides_the_ugv(recording: Recording) 
     (lost,) = [line for line in lines if b"has lost sight of ugv_0" in line]
     assert b"behind a building" in lost
     assert any(b"sees ugv_0 again" in line for line in lines)
-
-
-def test_texts_of_ticks_with_altitude_are_their_messages() -> None:
-    one, truths = behind_a_house(), list[Truth]()
-    flown = Flight(one, 3)
-    truths.append(flown.truth())
-    flown.fly(InProcess(make_pilots(one, 3)), on_tick=lambda: truths.append(flown.truth()))
-    asked = np.array([[v.command for v in truth.vehicles.values()] for truth in truths])
-    reports = [tuple((one.report, one.revoked) for one in truth.escorts) for truth in truths]
-    for first in (0, 1):
-        found = list(TickTexts(flown).of(first, asked[first:], reports[first:]))
-        assert [tick.truth for tick in found] == [ENCODE(truth) for truth in truths[first:]]
 
 
 def test_recording_with_altitude_is_reflown_to_the_bit(recording: Recording, tmp_path) -> None:

@@ -1,15 +1,10 @@
-"""The recording's thread writes the same bytes for each tick as the messages.
-
-It also records the messages of operators with their ticks.
-"""
+"""A recording holds the messages of each tick, and those of operators with their ticks."""
 
 from pathlib import Path
 from typing import Any
 
 import msgspec
-import numpy as np
 import pytest
-from msgspec.structs import replace
 
 from flights import HERE, escort, pairs
 from refusals import refused
@@ -20,16 +15,15 @@ pytest.importorskip("mcap", reason="the extra [record] is not installed")
 from bus.messages.control import Action, Change, Control
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Law
-from bus.messages.telemetry import Truth
 from bus.messages.vehicle import Teleoperation
 from observed import Observer
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.reader import entries, flight_of, load
 from outrider.recording.refly import refly, restore
 from outrider.recording.schemas import Commands
-from outrider.recording.tick_rows import TickTexts
 from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import InProcess, make_pilots
+from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, Scenario, Ugv
 from sim.server.flight import Flight
 
@@ -46,37 +40,33 @@ ONE = escort(
     duration=10.0,
     name="said",
 )
+ABOVE = load_scenario("courtyard", overrides={"duration": 10.0})
 ENCODE = msgspec.json.Encoder().encode
 
 
-@pytest.mark.parametrize("scenario", [PAIRS, ONE], ids=["two pairs", "one pair"])
-@pytest.mark.parametrize("block", [1, 7])
-def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, block: int) -> None:
-    flight, truths = Flight(scenario, 3), list[Truth]()
+@pytest.mark.parametrize("scenario", [PAIRS, ONE, ABOVE], ids=["two pairs", "one pair", "above"])
+def test_every_tick_is_recorded_as_its_messages(scenario: Scenario, tmp_path: Path) -> None:
+    path, flight = tmp_path / "run.mcap", Flight(scenario, 3)
+    recorder, truths = FlightRecorder(path, scenario, 3), [flight.truth()]
 
     def follow() -> None:
-        shown = flight.truth()
-        reported = shown.escorts
-        if flight.world.tick % 5 == 0:
-            reported = tuple(replace(one, report=None) for one in reported)
-        truths.append(replace(shown, escorts=reported))
+        recorder.tick(flight)
+        truths.append(flight.truth())
 
-    follow()
     flight.fly(InProcess(make_pilots(scenario, 3)), on_tick=follow)
-    texts, missed = TickTexts(flight), 0
-    for first in range(0, len(truths), block):
-        part = truths[first : first + block]
-        asked = [[vehicle.command for vehicle in truth.vehicles.values()] for truth in part]
-        reports = [tuple((one.report, one.revoked) for one in truth.escorts) for truth in part]
-        found_of_block = texts.of(first, np.array(asked), reports)
-        for k, (truth, found) in enumerate(zip(part, found_of_block, strict=True), first):
-            assert found.truth == ENCODE(truth)
-            missed += truth.escorts[0].detection is None
-            accelerations = {name: vehicle.command for name, vehicle in truth.vehicles.items()}
-            commands = ENCODE(Commands(tick=k - 1, accelerations=accelerations))
-            assert found.commands == (commands if k else b"")
-            assert (found.time, found.previous_time) == (truth.time, (k - 1) * scenario.dt)
-            assert found.distances == [seen.distance for seen in truth.escorts]
+    recorder.close()
+    commands = []
+    for truth in truths[1:]:
+        accelerations = {name: one.command for name, one in truth.vehicles.items()}
+        climbs = {uav.name: truth.vehicles[uav.name].vertical_acceleration for uav in scenario.uav}
+        vertical = climbs if scenario.has_altitude else {}
+        commands.append(
+            Commands(tick=truth.tick - 1, accelerations=accelerations, vertical=vertical)
+        )
+    found = [(entry.topic, entry.data) for entry in entries(path)]
+    assert [data for topic, data in found if topic == "/truth"] == [ENCODE(one) for one in truths]
+    assert [data for topic, data in found if topic == "/commands"] == list(map(ENCODE, commands))
+    missed = sum(truth.escorts[0].detection is None for truth in truths)
     assert 0 < missed < len(truths)
 
 

@@ -7,7 +7,6 @@ import logging
 import math
 import os
 import time
-from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -18,11 +17,10 @@ from bus.messages.telemetry import CoverageMap, Status, Truth
 from bus.messages.vehicle import Teleoperation
 from bus.plugins import needs
 from outrider.recording import schemas
-from outrider.recording.tick_rows import Tick
-from outrider.recording.viewers import Place, Viewers
+from outrider.recording.viewers import Viewers
 from sim.engine.briefing import all_buildings
 from sim.scenario.types import Scenario
-from sim.scene.altitude import Sight, sight_of
+from sim.scene.altitude import sight_of
 
 with needs("record"):
     import foxglove
@@ -162,59 +160,31 @@ class RecordingFile:
             self._viewers.hazards(message.hazards)
         time_ns = self._put(topic, message, seconds)
         if isinstance(message, Truth):
-            vehicles, escorts = message.vehicles.items(), message.escorts
-            places = (
-                (name, (*one.position, *one.velocity, _number(one.altitude)))
-                for name, one in vehicles
-            )
-            pairs = {escort.uav: escort.ugv for escort in escorts}
-            sights = [sight_of(one, self._r_v) for one in escorts]
-            self._show(message.time, time_ns, places, pairs, sights)
+            self._show(message, time_ns)
         elif isinstance(message, CoverageMap):
             self._viewers.coverage(message, time_ns)
         elif isinstance(message, Status) and message.geometry is not None:
             self._viewers.buildings(message.geometry.buildings)
 
-    def tick(self, tick: Tick, names: Sequence[str], escorts: Mapping[str, str]) -> None:
-        """Write a tick whose messages are encoded already, with the commands of the previous tick.
-
-        Args:
-            tick: Encoded tick.
-            names: Names of the vehicles, in the order of the states.
-            escorts: UGV of each UAV.
-        """
-        self._sink.check()
-        if tick.commands:
-            self._own[schemas.COMMANDS.name].log(
-                tick.commands, log_time=self._clock(tick.previous_time)
-            )
-        time_ns = self._clock(tick.time)
-        self._own[schemas.TRUTH.name].log(tick.truth, log_time=time_ns)
-        places = zip(names, tick.states.tolist(), strict=True)
-        radii = tick.radii or [self._r_v] * len(tick.distances)
-        sights = [Sight(*pair) for pair in zip(tick.distances, radii, strict=True)]
-        self._show(tick.time, time_ns, places, escorts, sights)
-
-    def _show(
-        self,
-        seconds: float,
-        time_ns: int,
-        places: Iterable[tuple[str, Place]],
-        escorts: Mapping[str, str],
-        sights: Sequence[Sight],
-    ) -> None:
+    def _show(self, truth: Truth, time_ns: int) -> None:
         """Write a tick for viewers, and log when a UAV loses sight of its UGV and when it sees it again."""
-        if self._viewers.due(seconds):
-            self._viewers.show(seconds, dict(places), escorts, time_ns)
-        for uav, sight in zip(escorts, sights, strict=True):
-            if sight.lost != (uav in self._lost):
-                self._lost ^= {uav}
-                seen = uav not in self._lost
+        if self._viewers.due(truth.time):
+            places = {
+                name: (*one.position, *one.velocity, _number(one.altitude))
+                for name, one in truth.vehicles.items()
+            }
+            escorts = {escort.uav: escort.ugv for escort in truth.escorts}
+            self._viewers.show(truth.time, places, escorts, time_ns)
+        for escort in truth.escorts:
+            sight = sight_of(escort, self._r_v)
+            if sight.lost != (escort.uav in self._lost):
+                self._lost ^= {escort.uav}
+                seen = escort.uav not in self._lost
                 what = "sees {} again" if seen else "has lost sight of {}"
                 behind = ", behind a building" if sight.hidden else ""
                 self.log(
-                    f"{uav} {what.format(escorts[uav])}: {sight.distance:.3f} m{behind}",
-                    seconds,
+                    f"{escort.uav} {what.format(escort.ugv)}: {sight.distance:.3f} m{behind}",
+                    truth.time,
                     warning=not seen,
                 )
 

@@ -10,7 +10,7 @@ from bus.messages.ground import GroundMap
 from bus.messages.telemetry import CoverageMap, Status, Truth
 from bus.session import Session
 from outrider.recording import schemas
-from outrider.recording.schemas import Commands, Head, Topic, head_of
+from outrider.recording.schemas import Head, Topic, head_of
 from sim.scenario.types import Scenario
 
 _INBOX_ROOM = 4096
@@ -148,14 +148,7 @@ class RunRecorder:
         else:
             self.missing_ticks += truth.tick - self.newest_tick - 1
             if truth.tick == self.newest_tick + 1:
-                asked = {name: vehicle.command for name, vehicle in truth.vehicles.items()}
-                climbs = {
-                    name: one.vertical_acceleration
-                    for name, one in truth.vehicles.items()
-                    if one.altitude is not None
-                }
-                commands = Commands(tick=self.newest_tick, accelerations=asked, vertical=climbs)
-                self._file.take(schemas.COMMANDS, commands, self.newest_time)
+                self._file.take(schemas.COMMANDS, schemas.commands_of(truth), self.newest_time)
         self.ticks += 1
         self.newest_tick, self.newest_time = truth.tick, truth.time
         self._file.take(schemas.TRUTH, truth, truth.time)

@@ -68,6 +68,19 @@ class Commands(Message, frozen=True, kw_only=True):
     """Vertical acceleration of each UAV with an altitude, after its bounds [m/s²]."""
 
 
+def commands_of(truth: Truth) -> Commands:
+    """Return the commands of the tick before this truth, which led to it."""
+    return Commands(
+        tick=truth.tick - 1,
+        accelerations={name: one.command for name, one in truth.vehicles.items()},
+        vertical={
+            name: one.vertical_acceleration
+            for name, one in truth.vehicles.items()
+            if one.altitude is not None
+        },
+    )
+
+
 class OperatorCommand(Teleoperation, frozen=True, kw_only=True):
     """Operator's command, with the tick of the UGV's observation that contained it."""
 

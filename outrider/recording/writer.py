@@ -1,6 +1,5 @@
-"""Recording of a flight from inside the simulator: a tick costs its loop one append, and a thread does the rest."""
+"""Recording of a flight from inside the simulator: the flight queues messages, and a thread encodes and writes them."""
 
-import sys
 import threading
 import time
 from collections import deque
@@ -14,27 +13,30 @@ import numpy as np
 from bus.messages.base import fitted_lines
 from bus.messages.control import Action, Change, Control
 from bus.messages.ground import GroundMap, Hazard
-from bus.messages.telemetry import CoverageMap, Status, VehicleStatus
+from bus.messages.telemetry import CoverageMap, Status, Truth, VehicleStatus
 from bus.messages.vehicle import Teleoperation
 from outrider.recording.mcap_file import RecordingFile
-from outrider.recording.schemas import CHANGES, COVERAGE, GROUND, STATUS, head_of
-from outrider.recording.tick_rows import Reports, TickTexts
+from outrider.recording.schemas import (
+    CHANGES,
+    COMMANDS,
+    COVERAGE,
+    GROUND,
+    STATUS,
+    TRUTH,
+    commands_of,
+    head_of,
+)
 from outrider.running.assumptions import assumption_warnings
 from sim.compiling.compile import FloatArray
 from sim.scenario.types import Scenario
 from sim.scene.ground_map import ground_map
 from sim.server.flight import Flight
 from sim.server.perception import News
-from sim.world import World
 
 _WAKE = 0.02
 """Wall time between two checks of the queue by the thread [s]."""
-_BLOCK = 8
-"""Ticks that the thread writes at once before it releases the interpreter for the flight's thread."""
-_SWITCH = 1e-4
-"""Longest time for which the flight's thread waits for the interpreter [s]; Python's 5 ms are many ticks."""
-_CROWD = 128
-"""Number of queued items for each additional block that the thread writes at once."""
+_BLOCK = 64
+"""Items that the thread writes before it releases the interpreter for the flight's thread."""
 _ROOM = 1024
 """Number of queued items beyond which the flight waits for the thread."""
 _MAP_PERIOD = 1.0
@@ -51,15 +53,8 @@ class _Received(NamedTuple):
     command: Teleoperation
 
 
-_Flown = tuple[bytes, Reports]
-"""Part of a tick that the flight's record does not hold: the commands as float64, and the UAVs' reports."""
-_Other = _Received | Change | CoverageMap | GroundMap | Status | str
-"""Other content of a recording; a text is a log line."""
-_Item = tuple[Flight, int, _Flown | None, _Other | None]
-"""Queued item with its tick: a tick that was flown, or other content.
-
-A plain tuple, as it is made in every tick of the flight.
-"""
+_Content = Truth | _Received | Change | CoverageMap | GroundMap | Status | str
+"""Content of a recording; a text is a log line."""
 
 
 def _news_in(received: Mapping[str, News], tick: int) -> Iterator[_Received | Change]:
@@ -101,22 +96,18 @@ class FlightRecorder:
         self.vehicles: Callable[[], Mapping[str, VehicleStatus]] = dict
         """Callback that returns the status of the vehicles' processes, in addition to the flight's own counts."""
         self._file = RecordingFile(path, private=bool(secret))
-        self._items: deque[_Item] = deque()
+        self._items: deque[tuple[Flight, int, _Content]] = deque()  # each with its tick
         self._done = threading.Event()
         self._fault: Exception | None = None
         # The current flight of the flight's thread; `_written` is the writer's.
         self._flight: Flight | None = None
         self._degradations = 0  # number of the flight's changes of links that are queued
         self._written: Flight | None = None
-        self._texts: TickTexts
-        self._escorts: dict[str, str] = {}
         self._early: list[str] = []
         self._scratch: FloatArray = np.empty((0, 0))
         self._file.begin(head_of(scenario, seed, secret=secret), scenario)
         self._head = (scenario, seed, secret, 0)
         self._thread = threading.Thread(target=self._run, name="outrider-recorder", daemon=True)
-        self._patience = sys.getswitchinterval()
-        sys.setswitchinterval(_SWITCH)
         self._thread.start()
 
     def tick(self, flight: Flight) -> None:
@@ -135,14 +126,12 @@ class FlightRecorder:
             self._start(flight)
         received = flight.news(tick - 1)
         if received:
-            items.extend((flight, tick, None, what) for what in _news_in(received, tick - 1))
+            items.extend((flight, tick, what) for what in _news_in(received, tick - 1))
         if len(flight.degradations) > self._degradations:
-            items.extend(
-                (flight, tick, None, change) for change in flight.degradations[self._degradations :]
-            )
+            new = flight.degradations[self._degradations :]
+            items.extend((flight, tick, change) for change in new)
             self._degradations = len(flight.degradations)
-        reports = zip(flight.answers.reports, flight.answers.revoked, strict=True)
-        items.append((flight, tick, (flight.commands.tobytes(), tuple(reports)), None))
+        items.append((flight, tick, flight.truth()))
         while self._early:
             self.event(self._early.pop(0))
         if tick >= self._next_map or tick >= self._next_status or flight.over:
@@ -166,22 +155,22 @@ class FlightRecorder:
             if self._scratch.shape != flight.world.coverage.shape:
                 self._scratch = np.empty_like(flight.world.coverage)
             covered = flight.world.coverage_map(self._scratch)
-            self._items.append((flight, tick, None, covered))
+            self._items.append((flight, tick, covered))
             ground = ground_map(flight.world, self._hazards, flight.routes)
             if ground is not None:
                 self._hazards = ground.hazards
-                self._items.append((flight, tick, None, ground))
+                self._items.append((flight, tick, ground))
         if tick >= self._next_status or flight.over:
             self._next_status = tick + max(1, round(_STATUS_PERIOD / flight.scenario.dt))
             if time.monotonic() - self._pace[0] > 0.1 * _STATUS_PERIOD or flight.over:
-                self._items.append((flight, tick, None, self._status(flight)))
+                self._items.append((flight, tick, self._status(flight)))
 
     def event(self, line: str) -> None:
         """Record a log line at the current tick."""
         if self._flight is None:
             self._early.append(line)  # vehicles join before the first tick
         else:
-            self._items.append((self._flight, self._flight.world.tick, None, line))
+            self._items.append((self._flight, self._flight.world.tick, line))
 
     def _status(self, flight: Flight) -> Status:
         now, (before, tick) = time.monotonic(), self._pace
@@ -205,11 +194,10 @@ class FlightRecorder:
         flight = self._flight
         if flight is not None and self._fault is None:
             tick, why = flight.world.tick, "complete" if flight.complete else "cut short"
-            self._items.append((flight, tick, None, self._status(flight)))
-            self._items.append((flight, tick, None, f"the flight is over: {why}"))
+            self._items.append((flight, tick, self._status(flight)))
+            self._items.append((flight, tick, f"the flight is over: {why}"))
         self._done.set()
         self._thread.join()
-        sys.setswitchinterval(self._patience)
         try:
             self._file.close()
         except (OSError, RuntimeError) as error:
@@ -224,55 +212,24 @@ class FlightRecorder:
             last = False
             while not last:
                 last = self._done.wait(_WAKE)
-                while self._write_slice(last=last):
+                while self._items:
+                    for _ in range(min(_BLOCK, len(self._items))):
+                        self._write(*self._items.popleft())
                     self._file.flush_if_due()
-                    time.sleep(0.0 if last else 2e-5)
+                    time.sleep(2e-5)
                 self._file.flush_if_due()
         except Exception as error:  # noqa: BLE001 - the flight continues after any error, and `close` raises it
             self._fault = error
             self._items.clear()
 
-    def _write_slice(self, *, last: bool) -> bool:
-        """Write some queued items; return true if more can be written now."""
-        return all(self._write_next(last=last) for _ in range(1 + len(self._items) // _CROWD))
-
-    def _write_next(self, *, last: bool) -> bool:
-        """Write the oldest queued item, or a block of ticks; return false if there is none to write."""
-        if not self._items:
-            return False
-        flight, tick, flown, other = self._items[0]
-        if tick >= flight.recorder.rows:  # the state is recorded a moment after the tick
-            if not last and flight is self._flight:
-                return False
-            self._items.popleft()  # the tick failed and has no state
-            return True
+    def _write(self, flight: Flight, tick: int, what: _Content) -> None:
         if flight is not self._written:
             self._begin(flight, tick)
-        if flown is not None:
-            self._write_ticks(flight, tick)
-        else:
-            self._items.popleft()
-            self._write(flight, tick, other)
-        return True
-
-    def _write_ticks(self, flight: Flight, first: int) -> None:
-        commands: list[bytes] = []
-        reports: list[Reports] = []
-        rows = flight.recorder.rows
-        while len(reports) < _BLOCK and self._items and first + len(reports) < rows:
-            owner, tick, flown, _ = self._items[0]
-            if owner is not flight or tick != first + len(reports) or flown is None:
-                break
-            self._items.popleft()
-            commands.append(flown[0])
-            reports.append(flown[1])
-        asked = np.frombuffer(b"".join(commands)).reshape(len(reports), -1, 2)
-        for written in self._texts.of(first, asked, reports):
-            self._file.tick(written, flight.world.names, self._escorts)
-
-    def _write(self, flight: Flight, tick: int, what: _Other | None) -> None:
         now, before = tick * flight.scenario.dt, (tick - 1) * flight.scenario.dt
-        if isinstance(what, _Received):
+        if isinstance(what, Truth):
+            self._file.take(COMMANDS, commands_of(what), before)
+            self._file.take(TRUTH, what, now)
+        elif isinstance(what, _Received):
             self._file.operator_command(what.ugv, tick - 1, what.command, before)
         elif isinstance(what, Change):
             self._file.take(CHANGES, what, before)
@@ -282,12 +239,11 @@ class FlightRecorder:
             self._file.take(GROUND, what, now)
         elif isinstance(what, Status):
             self._file.take(STATUS, what, what.time)
-        elif what is not None:
+        else:
             self._file.log(what, now)
 
     def _begin(self, flight: Flight, tick: int) -> None:
-        self._written, self._texts = flight, TickTexts(flight)
-        self._escorts = {uav.name: uav.escorts for uav in flight.world.uavs}
+        self._written = flight
         identity = (flight.scenario, flight.seed, flight.secret, flight.episode)
         if identity != self._head:
             self._head, start = identity, self._file.next_start
@@ -299,13 +255,11 @@ class FlightRecorder:
                 start=start,
             )
             self._file.begin(head, flight.scenario)
-        still = np.zeros((1, len(flight.world.names), 2))
-        for written in self._texts.of(tick - 1, still, [[(None, None)] * len(flight.world.uavs)]):
-            self._file.tick(written._replace(commands=b""), flight.world.names, self._escorts)
         if tick == 1:
-            # The ground before the first tick.
-            before = World(flight.scenario, flight.seed, secret=flight.secret)
-            self._file.take(COVERAGE, before.coverage_map(), 0.0)
-            ground = ground_map(before)
+            # The truth and the ground before the first tick.
+            before = Flight(flight.scenario, flight.seed, secret=flight.secret)
+            self._file.take(TRUTH, before.truth(), 0.0)
+            self._file.take(COVERAGE, before.world.coverage_map(), 0.0)
+            ground = ground_map(before.world)
             if ground is not None:
                 self._file.take(GROUND, ground, 0.0)
