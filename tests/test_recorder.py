@@ -58,7 +58,6 @@ def test_the_hash_is_the_documented_one(flight: Flight) -> None:
 
 
 def test_long_flight_grows_the_arrays_unchanged(flight: Flight, monkeypatch) -> None:
-    """A full disk: tests/test_row_store.py."""
     monkeypatch.setattr(recorder, "_ROOM", 100)
     longer = fly(wobbling(), 6)[0].recorder
     np.testing.assert_array_equal(longer.states, flight.recorder.states)

@@ -20,11 +20,10 @@ from sim.engine.monitor import NEVER, ArrivalRecord
 from sim.engine.world_state import BatchState, BatchTables
 from sim.engine.world_tick import measure
 from sim.models.sight import is_lost, sight_margin
-from sim.server.row_store import RowStore
 from sim.world import World
 
 _ROOM = 16_384
-"""Initial capacity [rows], at most the length of the run; further rows are stored in a file."""
+"""Initial capacity [rows], at most the length of the run; it is doubled when it is full."""
 _HASHED = 4096
 """Rows hashed at a time."""
 _VEHICLE = ("x [m]", "y [m]", "vx [m/s]", "vy [m/s]", "ux [m/s2]", "uy [m/s2]")
@@ -94,6 +93,13 @@ def _record_tick(
         heights[k, uav, 3] = vehicle.sight_radius
 
 
+def _grown(rows: FloatArray, room: int) -> FloatArray:
+    """Return a copy of an array with space for more rows."""
+    grown: FloatArray = np.empty((room, *rows.shape[1:]))
+    grown[: len(rows)] = rows
+    return grown
+
+
 class Recorder:
     """Arrays that grow with the run; row k is tick k.
 
@@ -111,20 +117,19 @@ class Recorder:
         room = min(world.scenario.ticks + 1, _ROOM)
         self._disturbed = world.scenario.disturbed
         reference_rows = vehicles if self._disturbed else 0
-        self._stores = (
-            RowStore(room, (vehicles, len(_VEHICLE))),
-            RowStore(room, (uavs, len(_ESCORT))),
-            RowStore(room, (reference_rows, 4)),
-            RowStore(room, (uavs if world.scenario.has_altitude else 0, len(_HEIGHT))),
-        )
-        self._bind()
+        self._states: FloatArray = np.empty((room, vehicles, len(_VEHICLE)))
+        self._escorts: FloatArray = np.empty((room, uavs, len(_ESCORT)))
+        self._reference: FloatArray = np.empty((room, reference_rows, 4))
+        climbing = uavs if world.scenario.has_altitude else 0
+        self._heights: FloatArray = np.empty((room, climbing, len(_HEIGHT)))
         self.arrivals: RecordArray = np.zeros(uavs, record_type(ArrivalRecord))
         """`ArrivalRecord` of each UAV at the latest recorded tick. Shape (UAVs,)."""
 
-    def _bind(self) -> None:
-        self._states, self._escorts, self._reference, self._heights = (
-            store.array for store in self._stores
-        )
+    def _grow(self) -> None:
+        """Double the capacity, to at most the length of the run."""
+        room = min(2 * len(self._states), self._world.scenario.ticks + 1)
+        self._states, self._escorts = _grown(self._states, room), _grown(self._escorts, room)
+        self._reference, self._heights = _grown(self._reference, room), _grown(self._heights, room)
 
     def record(
         self, reports: Sequence[UavReport | None], revoked: Sequence[NotCertified | None] = ()
@@ -141,9 +146,7 @@ class Recorder:
         if k < self.rows:
             return
         if k == len(self._states):
-            for store in self._stores:
-                store.grow()
-            self._bind()
+            self._grow()
         _record_tick(
             *self._world.arrays, self.arrivals, self._states, self._escorts, self._heights, k
         )
