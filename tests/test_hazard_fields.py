@@ -12,7 +12,7 @@ from seeded import a_key
 from sim.compiling.records import records
 from sim.engine.run_keys import derive_keys
 from sim.models.ground import CLEAR, add_disc, fill_tiles, tile_index, tiles_shape
-from sim.models.hazard_fields import MOST_MISSES, HazardFieldRow, place_hazards, work_array
+from sim.models.hazard_fields import MOST_MISSES, HazardFieldRow, place_hazards
 from sim.models.hazards import BLOCK, FOUND, ROUGH, HazardRow
 from sim.models.randomness import HAZARD_FIELDS, HAZARD_PLACE, draw, key_of
 from sim.scenario.ground_tables import ground_tables, place_fields
@@ -31,7 +31,7 @@ def tile_of(point) -> tuple[int, int]:
 
 def route_tiles(*routes) -> np.ndarray:
     tiles = [(tile_of(start), tile_of(goal)) for start, *goals in routes for goal in goals]
-    return np.array([(*a, *b, 1 << n) for n, (a, b) in enumerate(tiles)], dtype=np.int64)
+    return np.array([(*a, *b) for a, b in tiles], dtype=np.int64)
 
 
 def field(
@@ -48,9 +48,9 @@ def place(fields, routes, key, given=()) -> tuple[np.ndarray, np.ndarray, int]:
     tiles = np.zeros(SHAPE, dtype=np.uint8)
     fill_tiles(hazards[: len(given)], NO_CORNERS, TILE, tiles)
     points = np.array([point for route in routes for point in route])
-    wanted, ways = records(HazardFieldRow, fields), route_tiles(*routes)
-    ground = hazards, len(given), tiles, work_array(*SHAPE)
-    behind = place_hazards(wanted, points, ways, AREA, TILE, key, *ground)
+    wanted, tiles_of_routes = records(HazardFieldRow, fields), route_tiles(*routes)
+    ground = hazards, len(given), tiles
+    behind = place_hazards(wanted, points, tiles_of_routes, AREA, TILE, key, *ground)
     return hazards, tiles, behind
 
 
@@ -166,7 +166,7 @@ def test_ten_thousand_hazards_leave_the_ways_open_on_a_large_map() -> None:
     behind = place_fields(s, t, a_key(5))
     assert behind == 10_000
     regions, _ = label(t.tiles != BLOCK)
-    ends = {regions[way[0], way[1]] for way in t.ways} | {regions[way[2], way[3]] for way in t.ways}
+    ends = {regions[tuple(tile)] for route in t.routes for tile in (route[:2], route[2:])}
     assert len(ends) == 1
     assert 0 not in ends
     assert len(t.stops) == 1 + len(s.ugv[0].goals)

@@ -4,9 +4,8 @@ Along each axis, the area is divided into alternating streets and blocks of rand
 given probability. The layout is a pure function of the key.
 
 A building keeps the width of a street from the border and from every other one, and no start or goal is near it. If a
-street is wider than two buildings' margins, no building closes a way: the blocked tiles of a building touch neither
-other blocked tiles nor the border, so that a path leads around them on all sides (see `sim.models.hazard_fields`: only
-a ring of blocked tiles closes a way).
+street is wider than two buildings' margins, no building blocks a route: the blocked tiles of a building touch neither
+other blocked tiles nor the border, so that a path leads around them on all sides.
 """
 
 import math

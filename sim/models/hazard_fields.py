@@ -3,16 +3,14 @@ r"""Random hazards that never block the last route from a UGV's start to its goa
 Discs are drawn one after the other, by counter. A disc too close to a stop, overlapping another one, or blocking a
 route is skipped. A route is a chain of adjacent tiles (4-connected) without blocking hazards.
 
-A route is blocked if and only if blocked tiles, together with the outside, form a ring (8-connected) with one of its
-ends inside and the other outside: a ring that crosses a line between them an odd number of times. Blocked tiles are
-therefore joined as they are added, and each stores the lines crossed between it and the root of its set (union-find
-with parities, without path compression, so that a disc can be removed again). A join that closes an odd ring is
-detected at once, without a search through the free tiles.
+A path of each route is marked. A disc that touches none of them blocks no route; otherwise the free tiles around it are
+flooded again from the starts.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.compiling.records import RecordArray
@@ -24,12 +22,10 @@ from sim.models.vehicles import norm
 MOST_MISSES = 500
 """Consecutive skipped discs after which a field is full."""
 
-_FREE, _STOP = -1, -2
-"""Special parents: the tile is free; the tile is free and must stay free."""
-_PARENT, _CROSSED, _SIZE, _LOG = range(4)
-"""Rows of the work array: for each tile, its parent in its set, and the lines crossed up to it; for a root, the size of
-its set; and a log of the roots that this disc has joined to others, with their number first.
-"""
+_FREE, _BLOCKED = -1, -2
+"""Special previous tiles: the tile is not reached; it is blocked or outside."""
+Marks = npt.NDArray[np.bool_]
+"""Marked tiles. Shape (rows, columns)."""
 
 
 class HazardFieldRow(NamedTuple):
@@ -50,137 +46,78 @@ class HazardFieldRow(NamedTuple):
     """Distance from its discs at which routes stay open [m]; 0 unless they block."""
 
 
-def work_array(rows: int, columns: int) -> IntArray:
-    """Return the work array of `place_hazards` for a map of this size and a ring around it."""
-    return np.zeros((4, (rows + 2) * (columns + 2)), dtype=np.int64)
+@compiled
+def _index(i: int, j: int, columns: int) -> int:
+    """Return the index of a tile on a map with a ring of blocked tiles around it."""
+    return (i + 1) * (columns + 2) + j + 1
 
 
 @compiled
-def _crossed(ways: IntArray, i: int, j: int, d_i: int, d_j: int) -> int:
-    """Return the lines crossed an odd number of times between the centers of two adjacent tiles, as bits.
-
-    The line of a route starts 3/8 of a tile right of its first tile's center and 1/4 above it, follows the row, then
-    the column to the same position in the last tile. It meets no center, and no step meets its corner or ends.
+def _flood(tiles: TileArray, start: int, previous: IntArray, queue: IntArray) -> None:
+    """Flood the free tiles from a start: store the previous tile on a shortest path to each of them.
 
     Args:
-        ways: As in `place_hazards`.
-        i, j: Row and column of one tile.
-        d_i, d_j: Step to the other tile: (0, 1), (1, -1), (1, 0) or (1, 1).
-    """
-    bits = 0
-    for p in range(ways.shape[0]):
-        row, column, last_row, last_column = ways[p, 0], ways[p, 1], ways[p, 2], ways[p, 3]
-        crossed = False
-        if d_i == 1 and i == row:
-            x = j + 0.25 * d_j
-            crossed = (x > column + 0.375) != (x > last_column + 0.375)
-        left = j + min(d_j, 0)
-        if d_j != 0 and left == last_column:
-            y = (i + 0.375 * d_i) if d_j > 0 else (i + 0.625 * d_i)
-            if (y > row + 0.25) != (y > last_row + 0.25):
-                crossed = not crossed
-        if crossed:
-            bits ^= ways[p, 4]
-    return bits
-
-
-@compiled
-def _joined(work: IntArray, one: int, other: int, crossed: int) -> bool:
-    """Join the sets of two adjacent tiles; return False if this closes a ring around one end of a route."""
-    while work[_PARENT, one] != one:
-        crossed ^= work[_CROSSED, one]
-        one = work[_PARENT, one]
-    while work[_PARENT, other] != other:
-        crossed ^= work[_CROSSED, other]
-        other = work[_PARENT, other]
-    if one == other:
-        return crossed == 0
-    if work[_SIZE, one] > work[_SIZE, other]:
-        one, other = other, one
-    work[_PARENT, one], work[_CROSSED, one] = other, crossed
-    work[_SIZE, other] += work[_SIZE, one]
-    work[_LOG, 0] += 1
-    work[_LOG, work[_LOG, 0]] = one
-    return True
-
-
-@compiled
-def _block(work: IntArray, ways: IntArray, i: int, j: int, columns: int) -> bool:
-    """Block a free tile and join it to the blocked tiles around it; return False if this blocks a route."""
-    width = columns + 2
-    node = (i + 1) * width + j + 1
-    work[_PARENT, node], work[_CROSSED, node], work[_SIZE, node] = node, 0, 1
-    for n in range(8):
-        # the four steps forward, then the same steps from the previous tiles
-        d_i, d_j = (0, 1) if n % 4 == 0 else (1, n % 4 - 2)
-        away, back = d_i * width + d_j, n // 4
-        other = node + away * (1 - 2 * back)
-        if work[_PARENT, other] >= 0:
-            crossed = _crossed(ways, i - back * d_i, j - back * d_j, d_i, d_j)
-            if not _joined(work, node, other, crossed):
-                return False
-    return True
-
-
-@compiled
-def begin_work(ways: IntArray, tiles: TileArray, work: IntArray) -> None:
-    """Join the tiles that are blocked initially, and all outside tiles.
-
-    Args:
-        ways: As in `place_hazards`.
         tiles: True states of the tiles.
-        work: A `work_array`; changed.
+        start: Index of a tile, see `_index`; its own previous tile.
+        previous: Index of the previous tile of each tile, negative without one; changed.
+        queue: Memory for the indices of the tiles reached.
     """
     rows, columns = tiles.shape
-    width = columns + 2
-    work[_PARENT, :] = _FREE
-    for i in range(rows + 2):
-        for j in range(0, width, 1 if i in (0, rows + 1) else width - 1):
-            work[_PARENT, i * width + j], work[_CROSSED, i * width + j] = 0, 0
-    work[_SIZE, 0] = 2 * (rows + width)
+    previous[:] = _BLOCKED
     for i in range(rows):
         for j in range(columns):
-            if tiles[i, j] == BLOCK:
-                work[_LOG, 0] = 0
-                _block(work, ways, i, j, columns)
-    for p in range(ways.shape[0]):
-        for end in (0, 2):
-            node = (ways[p, end] + 1) * width + ways[p, end + 1] + 1
-            if work[_PARENT, node] == _FREE:
-                work[_PARENT, node] = _STOP
+            if tiles[i, j] != BLOCK:
+                previous[_index(i, j, columns)] = _FREE
+    if previous[start] == _BLOCKED:
+        return
+    previous[start], queue[0] = start, start
+    done, reached = 0, 1
+    while done < reached:
+        here = queue[done]
+        done += 1
+        for step in (1, columns + 2, -1, -columns - 2):
+            if previous[here + step] == _FREE:
+                previous[here + step], queue[reached] = here, here + step
+                reached += 1
 
 
 @compiled
-def _block_disc(
-    x: float, y: float, radius: float, tile: float, ways: IntArray, tiles: TileArray, work: IntArray
-) -> bool:
-    """Block the free tiles of a disc in `work` only; return False, without a change, if this blocks a route."""
+def _mark_paths(routes: IntArray, tiles: TileArray, marks: Marks) -> bool:
+    """Mark the tiles of one path for each route; return False if a route is blocked.
+
+    Args:
+        routes: As in `place_hazards`.
+        tiles: True states of the tiles.
+        marks: Marked tiles; changed.
+    """
     rows, columns = tiles.shape
-    width = columns + 2
-    low, high = disc_rows(y, radius, tile, rows)
-    work[_LOG, 0], open_yet = 0, True
+    size = (rows + 2) * (columns + 2)
+    previous, queue = np.empty(size, np.int64), np.empty(size, np.int64)
+    marks[:] = False
+    last = -1
+    for k in range(routes.shape[0]):
+        start = _index(routes[k, 0], routes[k, 1], columns)
+        here = _index(routes[k, 2], routes[k, 3], columns)
+        if start != last:
+            _flood(tiles, start, previous, queue)
+            last = start
+        if previous[here] < 0:
+            return False
+        marks[here // (columns + 2) - 1, here % (columns + 2) - 1] = True
+        while here != start:
+            here = previous[here]
+            marks[here // (columns + 2) - 1, here % (columns + 2) - 1] = True
+    return True
+
+
+@compiled
+def _touches(x: float, y: float, radius: float, tile: float, marks: Marks) -> bool:
+    """Return whether a disc touches a marked tile."""
+    low, high = disc_rows(y, radius, tile, marks.shape[0])
     for i in range(low, high):
-        first, end = disc_columns(x, y, radius, tile, i, columns)
-        for j in range(first, end):
-            parent = work[_PARENT, (i + 1) * width + j + 1]
-            if parent == _STOP:
-                open_yet = False
-            elif parent == _FREE and open_yet:
-                open_yet = _block(work, ways, i, j, columns)
-        if not open_yet:
-            break
-    if open_yet:
-        return True
-    for n in range(work[_LOG, 0], 0, -1):
-        root = work[_LOG, n]
-        work[_SIZE, work[_PARENT, root]] -= work[_SIZE, root]
-        work[_PARENT, root], work[_CROSSED, root] = root, 0
-    for i in range(low, high):
-        first, end = disc_columns(x, y, radius, tile, i, columns)
-        for j in range(first, end):
-            node = (i + 1) * width + j + 1
-            if work[_PARENT, node] >= 0 and tiles[i, j] != BLOCK:
-                work[_PARENT, node] = _FREE
+        first, end = disc_columns(x, y, radius, tile, i, marks.shape[1])
+        if marks[i, first:end].any():
+            return True
     return False
 
 
@@ -230,34 +167,33 @@ def _drawn(
 def place_hazards(
     fields: RecordArray,
     stops: FloatArray,
-    ways: IntArray,
+    routes: IntArray,
     area: tuple[float, float],
     tile: float,
     key: Key,
     hazards: RecordArray,
     first: int,
     tiles: TileArray,
-    work: IntArray,
 ) -> int:
     """Draw the hazards of random fields, field by field.
 
     Args:
         fields: Table of `HazardFieldRow`.
         stops: Points from which discs keep their clearance [m]. Shape (stops, 2).
-        ways: Routes that stay open: rows and columns of the tiles at both ends, and the route's bits, which no sum of
-            other routes' bits equals. A start without a goal is a route from the start to itself. Shape (routes, 5).
+        routes: Routes that stay open: row and column of the first and of the last tile. Routes with the same start
+            follow each other. A start without a goal is a route from the start to itself. Shape (routes, 4).
         area: Width and height of the area [m].
         tile: Side of a tile [m].
         key: Key of the random numbers.
         hazards: Table of `HazardRow`, with capacity for all; changed.
         first: First row to fill. Unused rows are empty.
         tiles: True states with the hazards of earlier rows, enlarged by `kept`; changed.
-        work: A `work_array`; changed.
 
     Returns:
         The row after the last filled one; fewer rows than the fields request if no more fit.
     """
-    begin_work(ways, tiles, work)
+    marks, new_marks = np.empty(tiles.shape, np.bool_), np.empty(tiles.shape, np.bool_)
+    _mark_paths(routes, tiles, marks)
     behind = first
     for f in range(fields.shape[0]):
         field = fields[f]
@@ -269,8 +205,12 @@ def place_hazards(
             reach = radius + field["kept"]
             if not _fits(fields, f, (x, y, reach), stops, tile, tiles):
                 continue
-            if kind == BLOCK and not _block_disc(x, y, reach, tile, ways, tiles, work):
-                continue
+            if kind == BLOCK and _touches(x, y, reach, tile, marks):
+                trial = tiles.copy()
+                add_disc(x, y, reach, BLOCK, tile, trial)
+                if not _mark_paths(routes, trial, new_marks):
+                    continue
+                marks, new_marks = new_marks, marks
             add_disc(x, y, reach, kind, tile, tiles)
             row = hazards[behind]
             row["kind"], row["share"] = kind, field["share"]

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator
-from hashlib import blake2b
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +21,7 @@ from sim.models.ground import (
     tile_index,
     tiles_shape,
 )
-from sim.models.hazard_fields import HazardFieldRow, place_hazards, work_array
+from sim.models.hazard_fields import HazardFieldRow, place_hazards
 from sim.models.hazards import BLOCK, HazardRow
 from sim.models.randomness import Key
 from sim.scenario.building_tables import building_rooms
@@ -33,8 +32,6 @@ from sim.scenario.types import Scenario
 
 BLOCK_CORNERS = 4
 """Corners of a building at a random position."""
-_WAY_BITS = 63
-"""Number of routes with a bit of their own; further routes have hashes that cancel only with probability 2^-63."""
 
 
 class GroundTables(NamedTuple):
@@ -52,16 +49,16 @@ class GroundTables(NamedTuple):
     """True states with the given hazards and buildings. Shape (rows, columns)."""
     closed: TileArray
     """States with the buildings enlarged by the largest `building_clearance`, and with all that blocks enlarged by
-    `tile_clearance` if the buildings are unknown: ways lead around them. The same array as `tiles` if nothing is
+    `tile_clearance` if the buildings are unknown: routes lead around them. The same array as `tiles` if nothing is
     enlarged. Shape (rows, columns).
     """
     fields: RecordArray
     """Table of `HazardFieldRow`."""
     stops: FloatArray
     """Starts and goals of the UGVs [m]. Shape (stops, 2)."""
-    ways: IntArray
+    routes: IntArray
     """Routes from each start to its goals, in the form of `sim.models.hazard_fields.place_hazards`. Shape (routes,
-    5).
+    4).
     """
 
 
@@ -95,7 +92,7 @@ def ground_tables(scenario: Scenario) -> GroundTables:
             HazardFieldRow, [_field_row(scenario, one) for one in scenario.hazard_field]
         ),
         stops=np.array(points, dtype=np.float64),
-        ways=_ways(scenario, *tiles.shape),
+        routes=_routes(scenario, *tiles.shape),
     )
     return tables._replace(closed=_closed_tiles(scenario, tables, scenario.building))
 
@@ -179,14 +176,13 @@ def place_fields(scenario: Scenario, tables: GroundTables, key: Key) -> int:
     behind = place_hazards(
         tables.fields,
         tables.stops,
-        tables.ways,
+        tables.routes,
         (scenario.area.width, scenario.area.height),
         scenario.ground.tile,
         key,
         tables.hazards,
         tables.buildings.stop,
         tables.closed,
-        work_array(*tables.closed.shape),
     )
     if tables.closed is not tables.tiles:
         fill_tiles(tables.hazards, tables.corners, scenario.ground.tile, tables.tiles)
@@ -206,21 +202,13 @@ def _field_row(scenario: Scenario, field: HazardField) -> HazardFieldRow:
     )
 
 
-def _ways(scenario: Scenario, rows: int, columns: int) -> IntArray:
-    tile, ways = scenario.ground.tile, []
+def _routes(scenario: Scenario, rows: int, columns: int) -> IntArray:
+    tile, routes = scenario.ground.tile, []
     for ugv in scenario.ugv:
         places = [(tile_index(y, tile, rows), tile_index(x, tile, columns)) for x, y in stops(ugv)]
         start, *goals = places
-        ways += [(*start, *goal) for goal in dict.fromkeys(goals) if goal != start] or [start * 2]
-    ways = list(dict.fromkeys(ways))
-    return np.array([(*way, _way_bits(n)) for n, way in enumerate(ways)], dtype=np.int64)
-
-
-def _way_bits(way: int) -> int:
-    if way < _WAY_BITS:
-        return 1 << way
-    digest = blake2b(way.to_bytes(8, "little"), digest_size=8).digest()
-    return int.from_bytes(digest, "little", signed=True)
+        routes += [(*start, *goal) for goal in goals if goal != start] or [start * 2]
+    return np.array(list(dict.fromkeys(routes)), dtype=np.int64)
 
 
 def corners_of(shapes: tuple[Hazard, ...] | tuple[Building, ...]) -> FloatArray:
