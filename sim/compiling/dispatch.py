@@ -56,32 +56,26 @@ def choice(functions: Sequence[Function]) -> Function:
     return call
 
 
-@register_jitable
-def _nothing(*given: Any) -> None:
-    return None
+def unless_none(given: Function) -> Function:
+    """Return a function that calls `given(first, *others)`, or returns None if its first argument is None.
 
-
-def unless_none(given: Function, none: Function = _nothing) -> Function:
-    """Return a function that calls `given(first, *others)`, or `none(first, *others)` if its first argument is None.
-
-    By default it returns None then: as a decorator, it makes `given` a function of an optional part.
-
-    Compiled code contains only one of them. After a test `first is None`, numba would compile both, and join their
-    results.
+    A decorator: it makes `given` a function of an optional part. Compiled code contains only one of both. After a test
+    `first is None`, numba would compile both, and join their results.
     """
 
     @functools.wraps(given, updated=())
     def call(first: Any, *others: Any) -> Any:
-        return none(first, *others) if first is None else given(first, *others)
+        return None if first is None else given(first, *others)
 
     @overload(call, jit_options={"error_model": "numpy"})
     def _call(first: Any, *others: Any) -> Function:
-        one = none if isinstance(first, types.NoneType) else given
+        def nothing(first: Any, *others: Any) -> None:
+            return None
 
         def chosen(first: Any, *others: Any) -> Any:
-            return one(first, *others)
+            return given(first, *others)
 
-        return chosen
+        return nothing if isinstance(first, types.NoneType) else chosen
 
     return call
 

@@ -146,62 +146,45 @@ def look(
 
 
 @compiled
-def _detect_below(
-    cameras: RecordArray,
+def run_detector(
+    cameras: RecordArray | None,
     numbers: WorldParameters,
     town: TownState | None,
     place: tuple[int, int, int],
     uav: Vehicle,
     ugv: Vehicle,
 ) -> None:
+    """Run a UAV's detector of its UGV at its altitude; a hidden UGV is not detected.
+
+    Args:
+        cameras: `CameraParameters` of each UAV; None: they fly in the plane.
+        numbers: Parameters of the world.
+        town: Buildings; None: there are none.
+        place: World, row among the UAVs, and tick.
+        uav, ugv: The UAV, whose detection is changed, and its UGV.
+    """
     world, k, tick = place
-    camera = cameras[k]
-    if not _sees(town, world, camera, uav, ugv):
-        return
-    z = uav.vertical.altitude
     x, y = uav.position[0] - ugv.position[0], uav.position[1] - ugv.position[1]
+    radius, reach, noise = numbers.r_v, numbers.sensor.reach, numbers.sigma
+    if cameras is not None:
+        camera, z = cameras[k], uav.vertical.altitude
+        if not _sees(town, world, camera, uav, ugv):
+            return
+        radius = visibility_radius_at(numbers.r_v, camera.tangent, camera.marker_height, z)
+        reach = range_at(numbers.sensor.reach, camera.tangent, z)
+        noise = noise_at(numbers.sigma, camera.reference_height, norm(x, y), z)
     _, uav.detection[0], uav.detection[1] = detect(
         x,
         y,
-        visibility_radius_at(numbers.r_v, camera.tangent, camera.marker_height, z),
-        range_at(numbers.sensor.reach, camera.tangent, z),
+        radius,
+        reach,
         numbers.dropout,
-        noise_at(numbers.sigma, camera.reference_height, norm(x, y), z),
+        noise,
         numbers.cut,
         key_of(uav.keys, DETECTION_NOISE),
         key_of(uav.keys, DETECTION_CHANCE),
         tick,
     )
-
-
-@compiled
-def _detect_in_plane(
-    cameras: None,
-    numbers: WorldParameters,
-    town: TownState | None,
-    place: tuple[int, int, int],
-    uav: Vehicle,
-    ugv: Vehicle,
-) -> None:
-    _, uav.detection[0], uav.detection[1] = detect(
-        uav.position[0] - ugv.position[0],
-        uav.position[1] - ugv.position[1],
-        numbers.r_v,
-        numbers.sensor.reach,
-        numbers.dropout,
-        numbers.sigma,
-        numbers.cut,
-        key_of(uav.keys, DETECTION_NOISE),
-        key_of(uav.keys, DETECTION_CHANCE),
-        place[2],
-    )
-
-
-run_detector = unless_none(_detect_below, _detect_in_plane)
-"""`run_detector(cameras, numbers, town, place, uav, ugv)`: run a UAV's detector of its UGV at its altitude.
-
-A hidden UGV is not detected. `place`: world, row among the UAVs, and tick.
-"""
 
 
 @compiled
@@ -291,31 +274,17 @@ def climb_all(
 
 
 @compiled
-def _view_below(
-    cameras: RecordArray,
+def view_of(
+    cameras: RecordArray | None,
     numbers: WorldParameters,
     town: TownState | None,
     world: int,
     k: int,
     uav: Vehicle,
 ) -> tuple[SensorParameters, Occlusion | None]:
-    z = uav.vertical.altitude
-    return sensor_at(numbers.sensor, cameras[k], z), occlusion_of(town, world, z)
-
-
-@compiled
-def _view_in_plane(
-    cameras: None,
-    numbers: WorldParameters,
-    town: TownState | None,
-    world: int,
-    k: int,
-    uav: Vehicle,
-) -> tuple[SensorParameters, None]:
-    plain = numbers.sensor
-    return SensorParameters(plain.model, plain.peak, plain.reach), None
-
-
-view_of = unless_none(_view_below, _view_in_plane)
-"""`view_of(cameras, numbers, town, world, k, uav)`: sensor of the k-th UAV at its altitude, and buildings as it sees
-them; None: there are none."""
+    """Return the sensor of the k-th UAV at its altitude, and the buildings as it sees them; None: there are none."""
+    plain, z = numbers.sensor, uav.vertical.altitude
+    sensor = SensorParameters(plain.model, plain.peak, plain.reach)
+    if cameras is not None:
+        sensor = sensor_at(sensor, cameras[k], z)
+    return sensor, occlusion_of(town, world, z)
