@@ -5,17 +5,18 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from agents.altitude_law import altitude_memory
 from agents.control.orbit import Path, check_path
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimation.estimator import Estimate, estimator_of
 from agents.estimation.map_updates import MapUpdateScheduler
 from agents.estimation.own_map import own_map
-from agents.height import HeightParameters, height_memory, height_parameters
 from agents.laws.policy import PolicyControl, TargetEstimate, UavPolicy
 from agents.laws.selection import SelectedLaw
 from agents.safety.safety_filter import SafetyFilter
+from agents.uav_constants import uav_constants
 from agents.uav_inputs import KnownBuildings, UavInputs, uav_inputs
-from agents.uav_parameters import UavParameters, uav_parameters
+from agents.uav_parameters import uav_parameters
 from agents.uav_tick import UavMemory, altitude_control, fly_law, occlusion_of, perceive
 from bus.errors import ScenarioError
 from bus.messages.base import Vector
@@ -30,7 +31,7 @@ from bus.messages.vehicle import (
 )
 from bus.ticks import looks_of, radio_ticks
 from sim.compiling.compile import FloatArray
-from sim.compiling.records import RecordArray, records
+from sim.compiling.records import RecordArray
 from sim.models.altitude import vertical_motion
 from sim.models.buildings import building_table
 from sim.models.field import coverage_error
@@ -77,10 +78,8 @@ class UavPilot:
         self._uav = uav_parameters(briefing)
         self._law = SelectedLaw(briefing, briefing.law, self._uav)
         self._vertical: RecordArray | None = None
-        self._camera: RecordArray | None = None
         if briefing.altitude is not None:
             self._vertical = vertical_motion(briefing.altitude)
-            self._camera = records(HeightParameters, [height_parameters(briefing, self._uav)])
         self._known = [*briefing.buildings]
         self._discovered = [-1] * len(briefing.buildings)
         self._buildings = self._known_buildings()
@@ -94,13 +93,14 @@ class UavPilot:
         self.estimator = estimator_of(briefing)
         self.filter: SafetyFilter | None = self._make_filter()
         """Safety filter of the law `certified` and of a user's inner control; None for other laws."""
-        self._guard = self.filter or SafetyFilter(briefing)  # all flights compile the same types
+        guard = self.filter or SafetyFilter(briefing)  # all flights compile the same types
         # tables of one row: a single row becomes read-only when pickled
+        self._constants = uav_constants(briefing)
         self._memory = UavMemory(
-            uav=records(UavParameters, [self._uav]),
+            uav=self._constants.uav.copy(),
             coverage=self.coverage,
-            altitude=None if briefing.altitude is None else height_memory(briefing),
-            filter=self._guard.memory,
+            altitude=None if briefing.altitude is None else altitude_memory(briefing),
+            filter=guard.memory,
         )
         self.map_updates = MapUpdateScheduler(briefing)
         """Scheduler of the map updates."""
@@ -194,8 +194,7 @@ class UavPilot:
         self._perceive(self._receive(observation))
 
     def _perceive(self, inputs: UavInputs) -> None:
-        filtered = self.filter is not None
-        perceive(self._camera, self._guard.rows, self._memory, inputs, filtered)
+        perceive(self._constants, self._memory, inputs, self.filter is not None)
 
     def _receive(self, observation: UavObservation) -> UavInputs:
         """Update the estimate, and convert the message: altitude, detections, and buildings just discovered."""
@@ -228,7 +227,6 @@ class UavPilot:
         if self.filter is None or not self._watched:
             self.filter = self._make_filter()
         if self.filter is not None:
-            self._guard = self.filter
             self._memory = self._memory._replace(filter=self.filter.memory)
 
     @property
@@ -251,13 +249,14 @@ class UavPilot:
             return *wanted, self._policy.vertical
         if wanted is not None:
             self._perceive(inputs)
-            u_z = altitude_control(self._camera, self._memory, inputs, target)
+            u_z = altitude_control(self._constants, self._memory, inputs, target)
             return *wanted, u_z
         if target.known:
             self._call_user_function(observation)
         law = cast("FlownLaw", self._law.flown)  # only a policy, which was asked above, has none
-        filtered, safety = self.filter is not None, self._guard.rows
-        u_x, u_y, u_z = fly_law(law, self._camera, safety, self._memory, filtered, inputs, target)
+        u_x, u_y, u_z = fly_law(
+            law, self._constants, self._memory, inputs, target, self.filter is not None
+        )
         return u_x, u_y, u_z
 
     def _ask_policy(

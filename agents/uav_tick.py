@@ -9,11 +9,12 @@ Records are tables of one row: a call from Python passes a table five times fast
 
 from typing import Any, NamedTuple
 
-from agents.height import HeightParameters, vertical_command
+from agents.altitude_law import AltitudeParameters, vertical_command
 from agents.laws.dispatch import FlownLaw, law_command
 from agents.laws.inputs import LawInputs
 from agents.safety.control import record_measurements
 from agents.safety.memory import FilterMemory
+from agents.uav_constants import UavConstants
 from agents.uav_inputs import KnownBuildings, UavInputs
 from agents.uav_parameters import Target, UavParameters
 from sim.compiling.compile import FloatArray, compiled, inlined
@@ -35,7 +36,7 @@ class UavMemory(NamedTuple):
     coverage: FloatArray
     """Its own map. Shape (rows, columns)."""
     altitude: RecordArray | None
-    """`HeightMemory`; a pilot has None in the plane. Shape (1,)."""
+    """`AltitudeMemory`; None: all UAVs fly in the plane. Shape (1,)."""
     filter: FilterMemory
 
 
@@ -59,11 +60,11 @@ def occlusion_of(inputs: UavInputs) -> Occlusion | None:
 
 @compiled
 def _adjust_sensor(
-    uav: UavParameters, camera: RecordArray | None, vertical: VerticalMotion | None
+    uav: UavParameters, altitude: RecordArray | None, vertical: VerticalMotion | None
 ) -> None:
     """Set the sensor to the altitude of the UAV."""
-    if camera is not None and vertical is not None and vertical.flies:
-        own: HeightParameters = camera[0]
+    if altitude is not None and vertical is not None and vertical.flies:
+        own: AltitudeParameters = altitude[0]
         found = sensor_at(own.sensor, own.camera, vertical.altitude)
         sensor: Any = uav.sensor
         sensor.peak, sensor.reach = found.peak, found.reach
@@ -82,24 +83,17 @@ def _cover_discovered(
 
 
 @inlined
-def perceive(
-    camera: RecordArray | None,
-    safety: RecordArray,
-    memory: UavMemory,
-    inputs: UavInputs,
-    filtered: bool,
-) -> None:
+def perceive(constants: UavConstants, memory: UavMemory, inputs: UavInputs, filtered: bool) -> None:
     """Update sensor, map and safety filter from the messages of a tick.
 
     Args:
-        camera: `HeightParameters`; None: all UAVs fly in the plane. Shape (1,).
-        safety: `SafetyBounds` of the safety filter. Shape (1,).
+        constants: Constants of the UAV.
         memory: Memory of the UAV, changed in place.
         inputs: State and messages.
         filtered: True if its safety filter is in use.
     """
     uav, own = memory.uav[0], inputs.own
-    _adjust_sensor(uav, camera, inputs.vertical)
+    _adjust_sensor(uav, constants.altitude, inputs.vertical)
     _cover_discovered(inputs.buildings, uav, memory.coverage, inputs.tick)
     if inputs.elapsed > 0:
         accumulate(
@@ -112,42 +106,42 @@ def perceive(
             occlusion_of(inputs),
         )
     if filtered:
-        record_measurements(safety, memory.filter, inputs)
+        record_measurements(constants.safety, memory.filter, inputs)
 
 
 @compiled
 def _climb(
-    camera: RecordArray | None,
     altitude: RecordArray | None,
+    memory: RecordArray | None,
     vertical: VerticalMotion | None,
     uav: UavParameters,
     coverage: FloatArray,
     inputs: UavInputs,
     target: Target,
 ) -> float:
-    if camera is None or altitude is None or vertical is None:
+    if altitude is None or memory is None or vertical is None:
         return 0.0
     if not vertical.flies:
         return 0.0
     tick, own = inputs.tick, inputs.own
     u_z: float = vertical_command(
-        uav, camera[0], altitude[0], tick, own, vertical, coverage, target, occlusion_of(inputs)
+        uav, altitude[0], memory[0], tick, own, vertical, coverage, target, occlusion_of(inputs)
     )
     return u_z
 
 
 @inlined
 def altitude_control(
-    camera: RecordArray | None, memory: UavMemory, inputs: UavInputs, target: Target
+    constants: UavConstants, memory: UavMemory, inputs: UavInputs, target: Target
 ) -> float:
     """Return the vertical acceleration of the altitude law [m/s²]; 0 in the plane.
 
     Args:
-        camera, memory, inputs: As in `perceive`.
+        constants, memory, inputs: As in `perceive`.
         target: Estimate of the UGV.
     """
     u_z: float = _climb(
-        camera,
+        constants.altitude,
         memory.altitude,
         inputs.vertical,
         memory.uav[0],
@@ -160,13 +154,13 @@ def altitude_control(
 
 @inlined
 def nominal_control(
-    law: FlownLaw, camera: RecordArray | None, memory: UavMemory, inputs: UavInputs, target: Target
+    law: FlownLaw, constants: UavConstants, memory: UavMemory, inputs: UavInputs, target: Target
 ) -> tuple[float, float, float]:
     """Return the nominal acceleration of law and altitude law, within the bound of (1): x, y and z [m/s²].
 
     Args:
         law: The law; its memory is changed in place.
-        camera, memory, inputs: As in `perceive`.
+        constants, memory, inputs: As in `perceive`.
         target: Estimate of the UGV; while it is unknown, the UAV brakes.
     """
     uav, own = memory.uav[0], inputs.own
@@ -176,23 +170,22 @@ def nominal_control(
         u_x, u_y = clip_norm(u_x, u_y, uav.max_acceleration)
     else:
         u_x, u_y = brake(own.v_x, own.v_y, uav.max_acceleration, uav.dt)
-    return u_x, u_y, altitude_control(camera, memory, inputs, target)
+    return u_x, u_y, altitude_control(constants, memory, inputs, target)
 
 
 @compiled
 def fly_law(
     law: FlownLaw,
-    camera: RecordArray | None,
-    safety: RecordArray,
+    constants: UavConstants,
     memory: UavMemory,
-    filtered: bool,
     inputs: UavInputs,
     target: Target,
+    filtered: bool,
 ) -> tuple[float, float, float]:
     """Perceive and return the nominal acceleration of the law in one call, for a pilot: x, y and z [m/s²].
 
     The safety filter is called apart, as this function is compiled again for each law. Arguments as in `perceive` and
     `nominal_control`.
     """
-    perceive(camera, safety, memory, inputs, filtered)
-    return nominal_control(law, camera, memory, inputs, target)
+    perceive(constants, memory, inputs, filtered)
+    return nominal_control(law, constants, memory, inputs, target)

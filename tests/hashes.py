@@ -71,7 +71,8 @@ def batch(name: str) -> dict[str, str]:
     loop.fly(TICKS)
     return {
         field: hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()[:16]
-        for field, values in _fields(loop.state, "")
+        for state in (loop.state, loop.pilots and loop.pilots.state)
+        for field, values in _fields(state, "")
     }
 
 

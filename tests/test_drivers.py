@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from agents.drivers.compiled import (
     CompiledDriver,
     NavigateDriver,
-    driver_parameters,
 )
+from agents.drivers.parameters import driver_parameters
 from agents.drivers.policy import PolicyDriver
 from agents.drivers.teleop import TeleopDriver
 from agents.ugv import Driver

@@ -21,9 +21,9 @@ from agents.drivers.cautious import (
     slowing_distance,
     triangle_is_open,
 )
-from agents.drivers.compiled import driver_parameters
 from agents.drivers.navigate import navigate_control
 from agents.drivers.navigate_parameters import NavigateParameters
+from agents.drivers.parameters import driver_parameters
 from agents.drivers.pending_stops import PLAIN, state_ahead
 from agents.drivers.planning import (
     adopt_plan,

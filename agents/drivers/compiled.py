@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.drivers.building_map import map_buildings
-from agents.drivers.parameters import DriverInputs, UgvParameters, ugv_parameters
+from agents.drivers.dispatch import chosen_driver, drive
+from agents.drivers.parameters import DriverInputs, driver_parameters
 from agents.drivers.pending_stops import PLAIN
 from agents.drivers.planning import path_corners
 from agents.drivers.tile_map import (
@@ -32,35 +33,16 @@ from bus.messages.vehicle import (
     UgvReport,
 )
 from bus.numbers import exact
-from bus.registry import DRIVERS, module_of
 from bus.ticks import first_tick_from, look_rows, looks_of
 from sim.compiling.compile import FloatArray
-from sim.compiling.records import fresh, records, struct_of
+from sim.compiling.records import struct_of
 from sim.models.ground import CERTIFIED, NO_CLAIM, UNCERTIFIED, tile_index, tile_states, tiles_shape
 from sim.models.hazards import TOUCH
 from sim.models.motion import NO_MOTION
-from sim.models.randomness import words_of
 from sim.models.vehicles import Motion
 
 MOST_TILES = 1_000_000
 """Largest number of tiles in a UGV's occupancy grid."""
-
-
-def driver_parameters(briefing: UgvBriefing, driver: str) -> Any:  # noqa: ANN401 - the driver's class
-    """Return the parameters of a UGV's driver, as its file declares them.
-
-    Raises:
-        ScenarioError: If the driver has no compiled form.
-    """
-    row = DRIVERS.get(driver)
-    if row is None or not row.module:
-        allowed = ", ".join(one.name for one in DRIVERS.values() if one.module)
-        raise ScenarioError(f"driver = {driver!r}: has no compiled form; allowed: {allowed}")
-    module = module_of(row)
-    make = getattr(module, "parameters", None)
-    if make is None:
-        return module.Parameters()
-    return make(ugv_parameters(briefing, unbounded=row.unbounded), briefing)
 
 
 class Route(NamedTuple):
@@ -144,19 +126,11 @@ class CompiledDriver:
     ) -> None:
         self.parameters = driver_parameters(briefing, name)
         """Parameters of the driver, as its file declares them."""
-        row = DRIVERS[name]
-        module = module_of(row)
-        memory: Any = fresh(module.Memory)
-        if "key_0" in memory.dtype.names:
-            memory["key_0"], memory["key_1"] = words_of(briefing.key)
+        self._chosen, self._name = chosen_driver(briefing, name, self.parameters), name
         self._owns_grid = grid is None
         self.ground = briefed_grid(briefing) if grid is None else grid
         """Occupancy grid; without tiles if there are no hazards."""
         forget_plan(self.ground)
-        ugv = records(UgvParameters, [ugv_parameters(briefing, unbounded=row.unbounded)])
-        parameters = records(type(self.parameters), [self.parameters])
-        # Arrays of one row: a single row becomes read-only when pickled.
-        self._command, self._fixed = module.command, (ugv, parameters, memory)
         self._route, self._dt = briefed_route(briefing), float(briefing.dt)
         self._executes_trajectories = (
             briefing.ground is not None and briefing.ground.executes_trajectories
@@ -165,7 +139,7 @@ class CompiledDriver:
     @property
     def memory(self) -> Any:  # noqa: ANN401 - the driver's own record
         """Memory record of the driver."""
-        return self._fixed[2][0]
+        return self._chosen.memory[self._name][0]
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """Return the acceleration [m/s²] for this observation."""
@@ -187,8 +161,7 @@ class CompiledDriver:
             ground=self.ground if self.ground.tiles.size else None,
             committed=committed if self._executes_trajectories else PLAIN,
         )
-        ugv, parameters, memory = (rows[0] for rows in self._fixed)
-        u_x, u_y = self._command(ugv, parameters, memory, inputs)
+        u_x, u_y = drive(self._chosen, inputs)
         return u_x, u_y
 
 

@@ -1,20 +1,20 @@
-"""Driver of each UGV in a batch: chosen by its row, compiled with the batch.
+"""Drivers for the compiled tick: the driver of one pilot, or that of each UGV in a batch, chosen by its row.
 
 A batch contains all drivers; those that need ground only if its scenario has ground.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.drivers.compiled import driver_parameters
-from agents.drivers.parameters import DriverInputs, UgvParameters, ugv_parameters
+from agents.drivers.parameters import DriverInputs, UgvParameters, driver_parameters, ugv_parameters
 from bus.messages.vehicle import UgvBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS, module_of, usable
 from sim.compiling.compile import IntArray, compiled
 from sim.compiling.dispatch import commands
-from sim.compiling.records import RecordArray, fill, fresh_nested, nested_type, records, row_of
+from sim.compiling.records import RecordArray, fill, fresh_nested, nested_type, records
+from sim.models.randomness import words_of
 
 _MODULES = usable(
     (row for row in DRIVERS.values() if row.module),
@@ -24,6 +24,29 @@ _ROWS = {name: DRIVERS[name] for name in _MODULES}
 CODES = {name: code for code, name in enumerate(_ROWS)}
 """Index of each compiled driver's file."""
 _driver_command = commands({name: module.command for name, module in _MODULES.items()})
+
+
+class ChosenDriver(NamedTuple):
+    """Driver of one UGV in a tick."""
+
+    code: int
+    """A value of `CODES`."""
+    ugv: RecordArray
+    """`UgvParameters`. Shape (1,)."""
+    parameters: RecordArray
+    memory: RecordArray
+    """Parameters and memory, nested by driver; the memory is changed in place. Shape (1,)."""
+
+
+def chosen_driver(briefing: UgvBriefing, name: str, given: Any) -> ChosenDriver:  # noqa: ANN401
+    """Return a driver with a new memory, for one UGV. `given`: its parameters, from `driver_parameters`."""
+    parameters: RecordArray = np.zeros(1, nested_type({name: type(given)}))
+    fill(parameters[name][0], given)
+    memory = fresh_nested({name: _MODULES[name].Memory}, (1,))
+    if "key_0" in (memory[name].dtype.names or ()):
+        memory[name]["key_0"], memory[name]["key_1"] = words_of(briefing.key)
+    own = ugv_parameters(briefing, unbounded=DRIVERS[name].unbounded)
+    return ChosenDriver(CODES[name], records(UgvParameters, [own]), parameters, memory)
 
 
 class DriverTables(NamedTuple):
@@ -75,26 +98,17 @@ def driver_memories(tables: DriverTables, worlds: int) -> RecordArray:
 
 
 @compiled
-def driver_command(
-    tables: DriverTables,
-    memories: RecordArray,
-    place: tuple[int, int],
-    inputs: DriverInputs,
-) -> tuple[float, float]:
-    """Return the command of a UGV from its driver [m/s²].
+def drive(driver: ChosenDriver, inputs: DriverInputs) -> tuple[float, float]:
+    """Return the acceleration of a UGV's driver [m/s²], for a pilot and for each UGV of a batch.
+
+    Before it, `agents.drivers.tile_map.record_tiles` and `record_block` update the occupancy grid from the messages of
+    the tick.
 
     Args:
-        tables: Tables of the batch.
-        memories: Memories of the drivers, changed in place.
-        place: World and UGV.
-        inputs: Knowledge of the UGV.
+        driver: The driver; its memory is changed in place.
+        inputs: State of the UGV and what it knows; the plan of its occupancy grid is changed in place.
     """
-    row, own_row = place[1], row_of(tables.ugvs.shape[0], place[0])
     u_x, u_y = _driver_command(
-        tables.codes[row],
-        tables.ugvs[own_row, row],
-        tables.parameters[own_row, row],
-        memories[place],
-        inputs,
+        driver.code, driver.ugv[0], driver.parameters[0], driver.memory[0], inputs
     )
     return u_x, u_y

@@ -9,7 +9,9 @@ from typing import Any, NamedTuple
 import msgspec
 
 from agents.drivers.steering import Steering
+from bus.errors import ScenarioError
 from bus.messages.vehicle import UgvBriefing
+from bus.registry import DRIVERS, module_of
 from sim.compiling.compile import FloatArray
 from sim.models.vehicles import Motion
 
@@ -62,3 +64,20 @@ def ugv_parameters(briefing: UgvBriefing, *, unbounded: bool) -> UgvParameters:
         max_acceleration=u_max,
         goal_tolerance=float(briefing.goal_tolerance),
     )
+
+
+def driver_parameters(briefing: UgvBriefing, driver: str) -> Any:  # noqa: ANN401 - the driver's class
+    """Return the parameters of a UGV's driver, as its file declares them.
+
+    Raises:
+        ScenarioError: If the driver has no compiled form.
+    """
+    row = DRIVERS.get(driver)
+    if row is None or not row.module:
+        allowed = ", ".join(one.name for one in DRIVERS.values() if one.module)
+        raise ScenarioError(f"driver = {driver!r}: has no compiled form; allowed: {allowed}")
+    module = module_of(row)
+    make = getattr(module, "parameters", None)
+    if make is None:
+        return module.Parameters()
+    return make(ugv_parameters(briefing, unbounded=row.unbounded), briefing)

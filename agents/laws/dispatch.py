@@ -9,10 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.uav_parameters import UavParameters, uav_parameters
 from bus.law_parameters import law_parameters
 from bus.messages.scenario import Law
-from bus.messages.vehicle import UavBriefing
 from bus.registry import LAWS, module_of, usable
 from sim.compiling.compile import IntArray
 from sim.compiling.dispatch import commands
@@ -62,12 +60,10 @@ def flown_law(law: Law) -> FlownLaw:
 
 
 class LawTables(NamedTuple):
-    """Laws of a batch's UAVs, with their constants."""
+    """Laws of a batch's UAVs."""
 
     codes: IntArray
     """A value of `CODES`. Shape (UAVs,)."""
-    uavs: RecordArray
-    """`UavParameters`. Shape (UAVs,)."""
     parameters: RecordArray
     """Parameters of each law that the batch contains, nested by name. Shape (UAVs,)."""
 
@@ -83,8 +79,8 @@ def _contained(codes: IntArray) -> dict[str, int]:
     return dict(sorted(used.items(), key=lambda one: one[1] not in _SEPARATE))
 
 
-def law_tables(briefings: Sequence[UavBriefing], laws: Sequence[Law]) -> LawTables:
-    """Return the tables of the UAVs with these briefings, each with its law, a key of `CODES`."""
+def law_tables(laws: Sequence[Law]) -> LawTables:
+    """Return the tables of the UAVs' laws, keys of `CODES`."""
     codes = np.array([CODES[law.name] for law in laws], dtype=np.int64)
     kinds = {name: _PARAMETERS[name] for name in _contained(codes)}
     table = np.zeros(len(laws), nested_type(kinds))
@@ -92,8 +88,7 @@ def law_tables(briefings: Sequence[UavBriefing], laws: Sequence[Law]) -> LawTabl
         own = [k for k, other in enumerate(codes) if other == code]
         if own:
             table[name][own] = records(kinds[name], [law_parameters(laws[k]) for k in own])
-    uavs = records(UavParameters, list(map(uav_parameters, briefings)))
-    return LawTables(codes, uavs, table)
+    return LawTables(codes, table)
 
 
 def law_memories(tables: LawTables, worlds: int) -> RecordArray:

@@ -138,7 +138,7 @@ def _tasks(whole: "Suite", only: list[str]) -> "Suite":
 
 
 def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str, Entry]":
-    from outrider.envs.pilot_numbers import pilot_names
+    from outrider.envs.closed_loop_pilots import pilot_names
     from outrider.running.user_code import load_policy
     from outrider_learning.suite.board import BASELINES, MISSION_BASELINES
     from outrider_learning.suite.tasks import NO_ESCORT

@@ -8,49 +8,29 @@ from typing import Any
 
 import numpy as np
 
-from agents.drivers.dispatch import driver_memories
-from agents.estimation.batch_filter import estimator_rows
-from agents.estimation.map_updates import BLOCK_TILES, map_update_memory
-from agents.estimation.motion_model import (
-    SPAN,
-    history_depth,
-)
-from agents.laws.dispatch import law_memories
-from agents.safety.memory import filter_memory
 from agents.safety.safety_filter import decision_of
 from bus.messages.decision import FilterDecision
 from bus.messages.links import LinkKind, LinkStatus
 from bus.messages.telemetry import MissionResult
 from bus.observations import UAV, names
-from outrider.envs.closed_loop_state import (
-    CommandedState,
-    CommandedTables,
-    LoopParameters,
-    LoopState,
-    LoopTables,
-    commanded,
-)
-from outrider.envs.closed_loop_tick import run_worlds
-from outrider.envs.drawn_worlds import DrawnWorlds, own_tables
-from outrider.envs.initial_grids import grids_of, map_random_buildings
-from outrider.envs.pilot_numbers import (
-    PilotNumbers,
+from outrider.envs.closed_loop_arrays import LoopState, LoopTables, Pilots, PilotState
+from outrider.envs.closed_loop_pilots import (
+    ChosenPilots,
     drivers_in_control,
-    loop_parameters,
-    repeated,
+    map_random_buildings,
     uses_radio,
 )
-from sim.channel.link_records import no_packets
+from outrider.envs.closed_loop_tick import run_worlds
+from outrider.envs.drawn_worlds import DrawnWorlds, tables_of_worlds
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
 from sim.engine.batch import Batch, Fresh
 from sim.engine.ground_state import set_driver
 from sim.engine.mission import mission_of
+from sim.engine.monitor import certificate_counters
 from sim.engine.run_keys import check_secret
-from sim.engine.world_state import joined
-from sim.env.patch import CoveragePatch, given_patch
 from sim.env.randomization import Randomization
-from sim.env.rows import row_tables
+from sim.env.rows import RowTables, row_state, row_tables
 from sim.env.settings import Settings, settings_of
 from sim.models.ground import TileArray
 from sim.models.randomness import PILOT
@@ -114,21 +94,24 @@ class ClosedLoop:
         """Driver in control of each UGV, `EXTERNAL` for external actions."""
         for name, driver in self.drivers.items():
             set_driver(scenario, self.batch.ground, name, driver)
-        self.parameters: LoopParameters | None = None
-        """Parameters of the pilots; None if all actions are external and no other feature is needed."""
-        self.tables: LoopTables | CommandedTables
-        self.state: LoopState | CommandedState
-        self.tables, self.state = commanded(
-            scenario, self.batch, self.external, row_tables(scenario, options, error=error)
-        )
+        self.tables, self.state = self._arrays(row_tables(scenario, options, error=error))
         self.has_error = bool(self.tables.rows.episode["error"][0])
         """True if e(t) is computed at every tick."""
-        numbers = self._add_pilots(chosen, options) if self._needs_pilots(options) else None
+        picked = self._chosen_pilots(chosen, options) if self._needs_pilots(options) else None
+        self.pilots: Pilots | None = None
+        """Pilots; None if all actions are external and no other feature is needed."""
+        if picked is not None:
+            own = (
+                tables_of_worlds(picked, scenario, worlds)
+                if self.randomization
+                else picked.own_tables(scenario)
+            )
+            self.pilots = picked.pilots(self.batch, options, own)
         self._drawn: DrawnWorlds | None = None
         if self.randomization:
-            self._drawn = DrawnWorlds(self.randomization, given, self.batch, numbers)
+            self._drawn = DrawnWorlds(self.randomization, given, self.batch, picked)
         # the batch restores its own state
-        self._fresh = Fresh(self.state[1:])
+        self._fresh = Fresh((self.state[1:], self.pilots and self.pilots.state))
         self._all = np.arange(worlds)
         self._none = np.zeros((worlds, 0, 3))
         self.begin([scenario.seed], [0])
@@ -151,71 +134,23 @@ class ClosedLoop:
         commanded = len(self.external) == len(self.names)
         return bool(asked) or pictured or not commanded or uses_radio(self.scenario)
 
-    def _add_pilots(self, chosen: Mapping[str, str], settings: Settings) -> PilotNumbers:
-        """Add the tables and the state of pilots, estimates and coverage patches; return the pilots' numbers."""
-        numbers = PilotNumbers(
-            self.scenario, self.uavs, self.ugvs, set(self.external), chosen, settings.safety_filter
-        )
-        parameters = loop_parameters(self.scenario, settings, radio=numbers.radio)
-        self.parameters = parameters
-        self.tables = self._pilot_tables(numbers, parameters)
-        self.state = self._pilot_state(numbers, parameters, given_patch(settings.coverage_patch))
-        return numbers
+    def _chosen_pilots(self, chosen: Mapping[str, str], settings: Settings) -> ChosenPilots:
+        external, shield = set(self.external), settings.safety_filter
+        return ChosenPilots(self.scenario, self.uavs, self.ugvs, external, chosen, shield)
 
-    def _pilot_tables(self, numbers: PilotNumbers, parameters: LoopParameters) -> LoopTables:
-        needed = parameters.estimate or parameters.gradient or parameters.radio
-        scripts, script_rows = joined(numbers.scripts, 3)
-        return LoopTables(
-            **self.tables._asdict(),
-            **own_tables(numbers, self.scenario, self.worlds if self.randomization else None),
-            laws=numbers.laws,
-            estimating=(numbers.estimating | needed).astype(np.int64),
-            filtered=numbers.filtered.astype(np.int64),
-            receivers=np.array(
-                [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
-                dtype=np.int64,
-            ),
-            scripts=scripts,
-            script_rows=script_rows,
-        )
-
-    def _pilot_state(
-        self, numbers: PilotNumbers, parameters: LoopParameters, patch: CoveragePatch | None
-    ) -> LoopState:
-        worlds, batch, area = self.worlds, self.batch, self.scenario.area
-        late = batch.links.longest(LinkKind.DETECTIONS)
-        depth = min(late + 1, history_depth(SPAN, self.scenario.dt))
-        fresh = filter_memory(numbers.longest, min(late + 1, numbers.track))
-        uavs, ugvs = len(self.uavs), len(self.ugvs)
-        room = batch.links.packets.shape[3]
-        tile_room = 0
-        if batch.ground is not None:
-            tile_room = max(BLOCK_TILES, batch.ground.seen.shape[2])
-        map_updates = map_update_memory(area.width, area.height, parameters.tile)
-        pixels = patch.pixels if patch else 1
+    def _arrays(self, rows: RowTables) -> tuple[LoopTables, LoopState]:
+        """Return the tables and the state of all worlds, with these tables of the observation rows."""
+        external = self.external
+        action_row = [external.index(name) if name in external else -1 for name in self.names]
+        tables = LoopTables(self.batch.tables, rows, np.array(action_row, dtype=np.int64))
+        counters = certificate_counters(len(self.uavs))[None]
         state = LoopState(
-            **self.state._asdict(),
-            maps=repeated(numbers.maps, worlds, 1)[:, 0]
-            if parameters.own_maps
-            else batch.state.coverage[:, None],
-            uavs=repeated(numbers.laws.uavs, worlds, 1)[:, 0],
-            heights=repeated(numbers.climbs, worlds, 1)[:, 0],
-            laws=law_memories(numbers.laws, worlds),
-            drivers=driver_memories(numbers.own.drivers, worlds),
-            kalman=repeated(estimator_rows(depth), worlds, uavs),
-            filters=repeated(fresh, worlds, uavs),
-            grids=None if batch.ground is None else grids_of(numbers.grids, worlds),
-            outbox=no_packets(worlds, uavs, 2),
-            detections=np.zeros((worlds, room, 3)),
-            inboxes=np.zeros((worlds, ugvs, room * uavs if parameters.radio else 1, 3)),
-            arrived=np.zeros((worlds, ugvs), dtype=np.int64),
-            patches=np.zeros((worlds, uavs if patch else 0, pixels, pixels)),
-            map_updates=repeated(map_updates, worlds, uavs),
-            places=np.zeros((worlds, 2, tile_room), dtype=np.int64),
-            states=np.zeros((worlds, tile_room), dtype=np.uint8),
+            batch=self.batch.state,
+            rows=row_state(rows, self.worlds),
+            certificates=np.repeat(counters, self.worlds, axis=0),
+            begun=np.zeros(self.worlds, dtype=np.int64),
         )
-        state.outbox["stamp"] = -1.0
-        return state
+        return tables, state
 
     @property
     def degraded(self) -> bool:
@@ -234,27 +169,29 @@ class ClosedLoop:
         which = self.batch.restore(seeds, worlds)
         self._fresh.restore(which)
         if self._drawn is not None:
-            self._drawn.begin(which, seeds, self._secret, (self.tables, self.state))
-        if isinstance(self.state, LoopState):
-            keys = self.state.batch.vehicles["keys"][which, :, PILOT]
-            pilots = (
-                (self.state.drivers, self.tables.batch.ugvs),
-                (self.state.laws, self.tables.batch.escorts[:, 0]),
-            )
-            for memories, vehicles in pilots:
-                for kind in memories.dtype.names or ():
-                    if "key_0" in (memories[kind].dtype.names or ()):
-                        for word, name in enumerate(("key_0", "key_1")):
-                            memories[kind][name][which] = keys[:, vehicles, word]
-            grids = self.state.grids
-            if grids and self.scenario.building_field and self.scenario.buildings.known:
-                map_random_buildings(
-                    grids,
-                    self.scenario,
-                    zip(which.tolist(), seeds, strict=True),
-                    self._secret,
-                )
-        self._run(which, self._none, 0)
+            self._drawn.begin(which, seeds, self._secret, self.pilots)
+        if self.pilots is not None:
+            self._begin_pilots(self.pilots.state, which, seeds)
+        self._run(which, self._none, 1)
+
+    def _begin_pilots(
+        self, state: PilotState, worlds: IntArray, seeds: Sequence[int] | IntArray
+    ) -> None:
+        """Write the random keys of the pilots, and the random buildings of the UGVs' maps."""
+        keys = self.state.batch.vehicles["keys"][worlds, :, PILOT]
+        pilots = (
+            (state.drivers, self.tables.batch.ugvs),
+            (state.laws, self.tables.batch.escorts[:, 0]),
+        )
+        for memories, vehicles in pilots:
+            for kind in memories.dtype.names or ():
+                if "key_0" in (memories[kind].dtype.names or ()):
+                    for word, name in enumerate(("key_0", "key_1")):
+                        memories[kind][name][worlds] = keys[:, vehicles, word]
+        grids = state.grids
+        if grids and self.scenario.building_field and self.scenario.buildings.known:
+            runs = zip(worlds.tolist(), seeds, strict=True)
+            map_random_buildings(grids, self.scenario, runs, self._secret)
 
     def step(self, actions: FloatArray, worlds: IntArray | None = None) -> None:
         """Advance worlds by one tick.
@@ -283,7 +220,7 @@ class ClosedLoop:
     def _run(self, worlds: IntArray, actions: FloatArray, ticks: int) -> None:
         which = np.ascontiguousarray(worlds, dtype=np.int64)
         given = np.ascontiguousarray(actions, dtype=np.float64)
-        loop = self.parameters, self.tables, self.state, self.batch.ground
+        loop = self.tables, self.state, self.pilots, self.batch.ground
         self.batch.workers.share(run_worlds, len(worlds), *loop, which, given, ticks)
 
     def metrics(self, uav: str) -> dict[str, FloatArray]:
@@ -316,9 +253,9 @@ class ClosedLoop:
 
     def decisions(self, uav: str) -> RecordArray:
         """Return `FilterDecision` of a UAV's last tick, in each world. Shape (worlds,)."""
-        if not isinstance(self.state, LoopState):
+        if self.pilots is None:
             raise ValueError(f"uav = {uav!r}: no safety filter, so there are no decisions")
-        rows: RecordArray = self.state.filters.decision[:, self.uavs.index(uav), 0]
+        rows: RecordArray = self.pilots.state.uavs.filter.decision[:, self.uavs.index(uav), 0]
         return rows
 
     def decision(self, uav: str) -> FilterDecision:
@@ -338,7 +275,7 @@ class ClosedLoop:
 
     def patch(self, uav: str) -> FloatArray:
         """Return the coverage patch of a UAV in each world. Shape (worlds, pixels, pixels)."""
-        pictures: FloatArray = self._pilots.patches[:, self.uavs.index(uav)]
+        pictures: FloatArray = self._pilot_state.patches[:, self.uavs.index(uav)]
         return pictures
 
     def with_estimate(self, uav: str, rows: FloatArray) -> FloatArray:
@@ -350,7 +287,7 @@ class ClosedLoop:
         """
         if self.has_estimates:
             return rows
-        now = self._pilots.kalman[:, self.uavs.index(uav), 0]
+        now = self._pilot_state.kalman[:, self.uavs.index(uav), 0]
         known, shown = now["known"].astype(np.bool_), rows.copy()
         entry = {name: k for k, name in enumerate(names(UAV))}
         shown[known, entry["detected"]] = 1.0
@@ -362,17 +299,17 @@ class ClosedLoop:
 
     def known_tiles(self, ugv: str) -> TileArray:
         """Return a UGV's occupancy grid, from its sensor and by radio, in each world. Shape (worlds, rows, columns)."""
-        grids = self._pilots.grids
+        grids = self._pilot_state.grids
         if grids is None:
             raise ValueError("the scenario has no hazards, so there are no tiles")
         tiles: TileArray = grids.tiles[:, self.ugvs.index(ugv)]
         return tiles
 
     @property
-    def _pilots(self) -> LoopState:
-        if not isinstance(self.state, LoopState):
+    def _pilot_state(self) -> PilotState:
+        if self.pilots is None:
             raise ValueError("the environment has neither hazards nor coverage patches")
-        return self.state
+        return self.pilots.state
 
     def links(self, world: int) -> dict[str, LinkStatus]:
         """Return the counters of each link of one world so far, by `vehicle/kind`."""

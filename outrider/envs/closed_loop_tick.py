@@ -9,10 +9,17 @@ from typing import Any
 from agents.estimation.batch_filter import estimate
 from agents.uav_parameters import Target, UavParameters
 from agents.uav_tick import occlusion_of
-from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
+from outrider.envs.closed_loop_arrays import (
+    LoopState,
+    LoopTables,
+    PilotParameters,
+    Pilots,
+    constants_of,
+    inputs_of,
+    map_of,
+)
 from outrider.envs.command_tick import apply_actions, command
 from outrider.envs.perception_tick import perceive
-from outrider.envs.vehicle_parts import inputs_of, map_of
 from sim.channel.link_records import ARRIVED
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined, released
 from sim.compiling.records import RecordArray, row_of
@@ -38,7 +45,7 @@ from sim.models.vehicles import norm
 
 @compiled
 def _add_cues(
-    parameters: LoopParameters,
+    parameters: PilotParameters,
     numbers: WorldParameters,
     row: Any,  # noqa: ANN401 - record of `RowState.uav_rows`
     target: Target,
@@ -73,32 +80,29 @@ def _add_cues(
 
 
 @inlined
-def _add_pictures(
-    parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int
-) -> None:
+def _add_pictures(tables: LoopTables, state: LoopState, pilots: Pilots, world: int) -> None:
     """Write the UAVs' estimates and gradients into their rows, and draw their coverage patches."""
     numbers = tables.batch.world[row_of(tables.batch.world.shape[0], world)]
-    vehicles = state.batch.vehicles
-    maps, patches, escorts = state.maps, state.patches, tables.batch.escorts
+    vehicles, parameters = state.batch.vehicles, pilots.tables.parameters
+    uavs, patches, escorts = pilots.state.uavs, pilots.state.patches, tables.batch.escorts
     if parameters.estimate or parameters.gradient:
-        kalman, rows, uavs = state.kalman, state.rows.uav_rows, state.uavs
+        kalman, rows = pilots.state.kalman, state.rows.uav_rows
         for u in range(escorts.shape[0]):
-            own = uavs[world, u]
             _add_cues(
                 parameters,
                 numbers,
                 rows[world, u],
                 estimate(kalman, world, u),
                 kalman[world, u, 0].age,
-                own,
-                map_of(maps, world, u),
-                occlusion_of(inputs_of(tables, state, world, u, 0)),
+                uavs.uav[world, u],
+                map_of(uavs.coverage, world, u),
+                occlusion_of(inputs_of(tables, state, pilots, world, u, 0)),
             )
     for u in range(patches.shape[1]):
         place = vehicles[world, escorts[u, 0]].reference_position
         x, y = place[0], place[1]
         sample(
-            map_of(maps, world, u),
+            map_of(uavs.coverage, world, u),
             x,
             y,
             numbers.desired,
@@ -151,47 +155,50 @@ def _record_errors(
 
 
 @inlined
-def _count_actions(tables: LoopTables, state: LoopState, world: int, tick: int) -> None:
+def _count_actions(
+    tables: LoopTables, state: LoopState, pilots: Pilots, world: int, tick: int
+) -> None:
     """Count the actions of the UAVs with an active safety filter."""
-    escorts, filtered = tables.batch.escorts, tables.filtered
-    row, monitored = row_of(tables.monitored.shape[0], world), tables.monitored
-    batch, counts = state.batch, state.certificates
-    vehicles, flown = batch.vehicles, batch.flown
+    escorts, batch, counts = tables.batch.escorts, state.batch, state.certificates
     for u in range(escorts.shape[0]):
-        if filtered[u]:
-            v = escorts[u, 0]
-            committed = flown[world, v, 0]
-            _count_action(monitored[row, u], counts[world, u], vehicles[world, v], committed, tick)
+        if pilots.tables.filtered[u]:
+            v, safety = escorts[u, 0], constants_of(pilots.tables, world, u).safety[0]
+            committed = batch.flown[world, v, 0]
+            _count_action(safety, counts[world, u], batch.vehicles[world, v], committed, tick)
 
 
 @inlined
 def _count_certificates(
-    tables: LoopTables, state: LoopState, ground: GroundState | None, world: int, over: bool
+    tables: LoopTables,
+    state: LoopState,
+    pilots: Pilots,
+    ground: GroundState | None,
+    world: int,
+    over: bool,
 ) -> None:
     """Update the certificate counters of the UAVs for this tick."""
-    escorts, filtered = tables.batch.escorts, tables.filtered
-    row, monitored = row_of(tables.monitored.shape[0], world), tables.monitored
+    escorts, standings = tables.batch.escorts, state.rows.standings
     disturbed = tables.batch.disturbances.shape[1] > 0
-    batch, counts, standings = state.batch, state.certificates, state.rows.standings
-    vehicles, links, packets = batch.vehicles, batch.links, batch.packets
+    batch, counts = state.batch, state.certificates
     for u in range(escorts.shape[0]):
         v = escorts[u, 0]
         if over:
-            clear, ugv = True, tables.receivers[u]
+            clear, ugv = True, pilots.tables.receivers[u]
             if ground is not None:
                 clear = keeps_clearance(ground.clearances, ground.missions[world], ugv)
             record_end(counts[world, u], standings[world, v].lost, clear)
-        elif filtered[u]:
-            come, arrived = packets[world, u, ARRIVED], links[world, u].arrived
-            one = vehicles[world, v]
-            _record_errors(monitored[row], counts[world], come, arrived, u, one, disturbed)
+        elif pilots.tables.filtered[u]:
+            come, arrived = batch.packets[world, u, ARRIVED], batch.links[world, u].arrived
+            one, safety = batch.vehicles[world, v], pilots.tables.uavs.safety
+            monitored = safety[row_of(safety.shape[0], world)]
+            _record_errors(monitored, counts[world], come, arrived, u, one, disturbed)
 
 
 @released
 def run_worlds(
-    parameters: LoopParameters | None,
     tables: LoopTables,
     state: LoopState,
+    pilots: Pilots | None,
     ground: GroundState | None,
     worlds: IntArray,
     actions: FloatArray,
@@ -199,38 +206,44 @@ def run_worlds(
     begin: int,
     end: int,
 ) -> None:
-    """Fly each of these worlds for a number of ticks or to the end of its episode; 0 ticks: begin the episode.
+    """Advance each of these worlds by a number of ticks, or to the end of its episode.
 
-    World by world, so that a grid stays in the cache for the whole flight. Without parameters all actions are external,
-    tables and state are `CommandedTables` and `CommandedState`, and no code for pilots, estimates and patches is
-    compiled.
+    The first one after a reset begins the episode at tick 0. World by world, so that a grid stays in the cache for the
+    whole flight. Without pilots all actions are external, and no code for pilots, estimates and patches is compiled.
+
+    Args:
+        tables, state, pilots, ground: Arrays of all worlds; they are changed.
+        worlds: Worlds to advance.
+        actions: External actions of all worlds. Shape (worlds, external vehicles, 3).
+        ticks: Number of ticks.
+        begin, end: Rows of `worlds` that this thread advances.
     """
-    batch, beginning = state.batch, ticks == 0
+    batch, rows = state.batch, state.rows
     for n in range(begin, end):
         k = worlds[n]
-        if beginning:
-            begin_world(tables.batch, batch, ground, k)
-        for tick in range(1 if beginning else ticks):
-            if tick > 0 and (state.rows.terminated[k] or state.rows.truncated[k]):
-                break
-            started = batch.ticks[k]
-            if not beginning:
-                if parameters is None:
+        for tick in range(ticks):
+            begins, started = state.begun[k] == 0, batch.ticks[k]
+            if begins:
+                state.begun[k] = 1
+                begin_world(tables.batch, batch, ground, k)
+            else:
+                if pilots is None:
                     apply_actions(batch.vehicles, tables.action_row, k, started, actions[k])
                 else:
-                    command(parameters, tables, state, ground, k, actions[k])
+                    command(tables, state, pilots, ground, k, actions[k])
                 world_tick(tables.batch, batch, ground, k, True)
-            if parameters is not None:
-                if not beginning:
-                    _count_actions(tables, state, k, started)
-                perceive(parameters, tables, state, ground, k)
-            error = tables.rows.episode[0].error
-            measure(tables.batch, batch, k, error)
-            advance_rows(tables.batch, batch, ground, tables.rows, state.rows, k, beginning)
-            over = state.rows.terminated[k] or state.rows.truncated[k]
-            if parameters is not None:
-                _count_certificates(tables, state, ground, k, over)
-            if tick == ticks - 1 or over or beginning:
-                observe_rows(tables.batch, batch, tables.rows, state.rows, k)
-                if parameters is not None:
-                    _add_pictures(parameters, tables, state, k)
+            if pilots is not None:
+                if not begins:
+                    _count_actions(tables, state, pilots, k, started)
+                perceive(tables, state, pilots, ground, k)
+            measure(tables.batch, batch, k, tables.rows.episode[0].error)
+            advance_rows(tables.batch, batch, ground, tables.rows, rows, k, begins)
+            over = rows.terminated[k] or rows.truncated[k]
+            if pilots is not None:
+                _count_certificates(tables, state, pilots, ground, k, over)
+            if tick == ticks - 1 or over:
+                observe_rows(tables.batch, batch, tables.rows, rows, k)
+                if pilots is not None:
+                    _add_pictures(tables, state, pilots, k)
+            if over:
+                break

@@ -1,6 +1,6 @@
 """Commands of a tick of the closed loop, from pilots or external actions, and the radio messages of the UAVs."""
 
-from agents.drivers.dispatch import driver_command
+from agents.drivers.dispatch import drive
 from agents.drivers.parameters import DriverInputs
 from agents.drivers.pending_stops import PLAIN, add_stops
 from agents.estimation.batch_filter import estimate
@@ -10,27 +10,26 @@ from agents.estimation.map_updates import (
     map_updates_of,
     next_block,
 )
-from agents.laws.dispatch import FlownLaw
 from agents.safety.control import filter_control
 from agents.safety.decision import CERTIFIED, NOMINAL
 from agents.safety.pending import add_plans
 from agents.uav_parameters import Target
 from agents.uav_tick import nominal_control
-from outrider.envs.closed_loop_state import (
-    LoopParameters,
+from outrider.envs.closed_loop_arrays import (
     LoopState,
     LoopTables,
-)
-from outrider.envs.vehicle_parts import (
-    camera_of,
+    PilotParameters,
+    Pilots,
+    constants_of,
+    driver_of,
     grid_of,
     inputs_of,
-    levels_of,
+    law_of,
     memory_of,
     reference_of,
 )
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
-from sim.compiling.records import RecordArray, row_of
+from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState
 from sim.engine.mission import goals_of, keeps_clearance, record_claim
 from sim.engine.monitor import Claim, record_decision
@@ -42,9 +41,9 @@ _RELATIVE, _GROUND = range(2)
 
 @inlined
 def _fly(
-    parameters: LoopParameters,
     tables: LoopTables,
     state: LoopState,
+    pilots: Pilots,
     ground: GroundState | None,
     place: tuple[int, int, int],
     actions: FloatArray,
@@ -54,22 +53,20 @@ def _fly(
     batch, action_row = state.batch, tables.action_row[vehicle]
     tick, standing = batch.ticks[world], state.rows.standings[world, vehicle]
     one = batch.vehicles[world, vehicle]
-    target = estimate(state.kalman, world, uav)
-    inputs, memory = inputs_of(tables, state, world, uav, 0), memory_of(tables, state, world, uav)
+    target = estimate(pilots.state.kalman, world, uav)
+    constants, memory = constants_of(pilots.tables, world, uav), memory_of(pilots, world, uav)
+    inputs = inputs_of(tables, state, pilots, world, uav, 0)
     if action_row < 0:
-        laws, camera = tables.laws, camera_of(tables.heights, world, uav)
-        law = FlownLaw(
-            laws.codes[uav], laws.parameters[uav : uav + 1], state.laws[world, uav : uav + 1]
-        )
-        u_x, u_y, u_z = nominal_control(law, camera, memory, inputs, target)
+        law = law_of(pilots, world, uav)
+        u_x, u_y, u_z = nominal_control(law, constants, memory, inputs, target)
     else:
         action = actions[action_row]
         u_x, u_y, u_z = action[0], action[1], action[2]
-    if tables.filtered[uav]:
-        row = row_of(tables.safety.shape[0], world)
-        safety, levels = tables.safety[row, uav : uav + 1], levels_of(tables.heights, world, uav)
+    if pilots.tables.filtered[uav]:
         nominal = u_x, u_y, u_z
-        u_x, u_y, u_z = filter_control(safety, levels, memory.filter, inputs, nominal)
+        u_x, u_y, u_z = filter_control(
+            constants.safety, constants.levels, memory.filter, inputs, nominal
+        )
         decision = memory.filter.decision[0]
         certified, overridden = decision.reason == CERTIFIED, decision.source != NOMINAL
         # a pilot without a detection sends no report
@@ -77,23 +74,24 @@ def _fly(
         clear = True
         if ground is not None:
             clear = keeps_clearance(
-                ground.clearances, ground.missions[world], tables.receivers[uav]
+                ground.clearances, ground.missions[world], pilots.tables.receivers[uav]
             )
         claim = Claim(certified, reports and overridden, standing.lost, True, clear)
-        record_decision(tables.monitored[row, uav], state.certificates[world, uav], tick, claim)
+        record_decision(constants.safety[0], state.certificates[world, uav], tick, claim)
         one.outgoing_motion, one.outgoing_motions = add_plans(
-            safety[0], memory.filter.pending, tick, batch.motions[world, vehicle]
+            constants.safety[0], memory.filter.pending, tick, batch.motions[world, vehicle]
         )
     one.outgoing_tick, one.outgoing[0], one.outgoing[1] = tick, u_x, u_y
     one.vertical.outgoing = u_z
+    parameters = pilots.tables.parameters
     if parameters.radio:
-        updates = map_updates_of(state.map_updates, world, uav)
-        _write_radio(parameters, state.outbox[world, uav], updates, tick, inputs.own, target)
+        updates = map_updates_of(pilots.state.map_updates, world, uav)
+        _write_radio(parameters, pilots.state.outbox[world, uav], updates, tick, inputs.own, target)
 
 
 @compiled
 def _write_radio(
-    parameters: LoopParameters,
+    parameters: PilotParameters,
     outbox: RecordArray,
     memory: MapUpdateMemory,
     tick: int,
@@ -119,40 +117,39 @@ def _write_radio(
 def _drive(
     tables: LoopTables,
     state: LoopState,
+    pilots: Pilots,
     ground: GroundState | None,
-    world: int,
-    vehicle: int,
-    ugv: int,
+    place: tuple[int, int, int],
     actions: FloatArray,
 ) -> None:
-    """Write the command of a UGV."""
+    """Write the command of a UGV. `place`: world, row among all vehicles and among the UGVs."""
+    world, vehicle, ugv = place
     batch, action_row = state.batch, tables.action_row[vehicle]
+    own, other = pilots.tables, pilots.state
     tick, one = batch.ticks[world], batch.vehicles[world, vehicle]
     one.outgoing_tick = tick
     if action_row >= 0:
         one.outgoing[0], one.outgoing[1] = actions[action_row, 0], actions[action_row, 1]
         return
-    script = tables.scripts[tables.script_rows[ugv] : tables.script_rows[ugv + 1]]
+    script = own.scripts[own.script_rows[ugv] : own.script_rows[ugv + 1]]
     goals = goals_of(tables.batch.goals, tables.batch.goal_rows, ugv)
-    radio, arrived = state.inboxes[world, ugv], state.arrived[world, ugv]
-    place, here = (world, ugv), reference_of(one)
+    radio, arrived = other.inboxes[world, ugv], other.arrived[world, ugv]
     committed = batch.flown[world, vehicle, 0].begins if one.follows_motions else PLAIN
-    late = tables.late[row_of(tables.late.shape[0], world), ugv]
-    memory = grid_of(state.grids, late, world, ugv)
-    inputs = DriverInputs(tick, here, goals, script, radio, arrived, memory, committed)
-    one.outgoing[0], one.outgoing[1] = driver_command(tables.drivers, state.drivers, place, inputs)
+    grid = grid_of(other.grids, own.late, world, ugv)
+    inputs = DriverInputs(tick, reference_of(one), goals, script, radio, arrived, grid, committed)
+    one.outgoing[0], one.outgoing[1] = drive(driver_of(pilots, world, ugv), inputs)
     if ground is not None:
-        record_claim(ground.missions[world], ugv, memory.flags[0].claim)
+        record_claim(ground.missions[world], ugv, grid.flags[0].claim)
         if one.follows_motions:
             motions = batch.motions[world, vehicle]
-            one.outgoing_motion, one.outgoing_motions = add_stops(memory, tick, motions)
+            one.outgoing_motion, one.outgoing_motions = add_stops(grid, tick, motions)
 
 
 @inlined
 def command(
-    parameters: LoopParameters,
     tables: LoopTables,
     state: LoopState,
+    pilots: Pilots,
     ground: GroundState | None,
     world: int,
     actions: FloatArray,
@@ -161,9 +158,9 @@ def command(
     for v in range(tables.rows.place.shape[0]):
         place = tables.rows.place[v]
         if place >= 0:
-            _fly(parameters, tables, state, ground, (world, v, place), actions)
+            _fly(tables, state, pilots, ground, (world, v, place), actions)
         else:
-            _drive(tables, state, ground, world, v, -1 - place, actions)
+            _drive(tables, state, pilots, ground, (world, v, -1 - place), actions)
 
 
 @compiled

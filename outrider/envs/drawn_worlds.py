@@ -10,14 +10,8 @@ from agents.safety.levels import MOST_LEVELS
 from bus.errors import ScenarioError
 from bus.messages.scenario import Law
 from bus.registry import LAWS
-from outrider.envs.closed_loop_state import (
-    CommandedState,
-    CommandedTables,
-    HeightTables,
-    LoopState,
-    LoopTables,
-)
-from outrider.envs.pilot_numbers import OwnNumbers, PilotNumbers
+from outrider.envs.closed_loop_arrays import Pilots
+from outrider.envs.closed_loop_pilots import ChosenPilots, OwnTables
 from outrider.running.assumptions import shortfalls
 from sim.compiling.compile import FloatArray, IntArray
 from sim.engine.batch import Batch
@@ -26,19 +20,6 @@ from sim.scenario.types import Scenario
 
 _COMMON = "codes"
 """Table of `DriverTables` that never differs between worlds."""
-
-
-def _tables_of(own: OwnNumbers) -> dict[str, Any]:
-    """Return the tables of `LoopTables` that may differ between worlds, with the row of one world."""
-    heights = own.heights
-    return {
-        "kalman": own.kalman[None],
-        "safety": own.safety[None],
-        "monitored": own.safety[None],
-        "late": own.late[None],
-        "heights": None if heights is None else HeightTables(*(one[None] for one in heights)),
-        "drivers": own.drivers,
-    }
 
 
 def _repeated(table: Any, rows: int) -> Any:  # noqa: ANN401 - nested tables
@@ -59,26 +40,20 @@ def _set_row(table: Any, world: int, own: Any) -> None:  # noqa: ANN401 - nested
         table[world] = own[0]
 
 
-def own_tables(numbers: PilotNumbers, scenario: Scenario, worlds: int | None) -> dict[str, Any]:
-    """Return the tables of `LoopTables` that may differ between worlds.
-
-    Args:
-        numbers: Numbers of the pilots.
-        scenario: Scenario of all worlds.
-        worlds: Number of worlds that differ; None: one row serves all.
-    """
-    own = numbers.own if worlds is None else numbers.numbers(scenario, MOST_LEVELS)
-    return {name: _repeated(table, worlds or 1) for name, table in _tables_of(own).items()}
+def tables_of_worlds(chosen: ChosenPilots, scenario: Scenario, worlds: int) -> OwnTables:
+    """Return the tables of worlds that may differ, each with the numbers of the scenario."""
+    tables: OwnTables = _repeated(chosen.own_tables(scenario, MOST_LEVELS), worlds)
+    return tables
 
 
-def _check_corners(randomization: Randomization, given: Scenario, numbers: PilotNumbers) -> None:
+def _check_corners(randomization: Randomization, given: Scenario, chosen: ChosenPilots) -> None:
     """Check that each combination of the ranges' ends suits the laws, and the safety filters if there are any.
 
     Raises:
         ScenarioError: If a law does not fit, or the filters cannot rely on an assumption that holds without the ranges.
     """
     watched = next(name for name, row in LAWS.items() if row.watched)
-    filtered = numbers.filtered.any()
+    filtered = chosen.filtered.any()
 
     def broken(scenario: Scenario) -> dict[tuple[str, str], str]:
         inside = msgspec.structs.replace(scenario, law=Law(name=watched))
@@ -86,7 +61,7 @@ def _check_corners(randomization: Randomization, given: Scenario, numbers: Pilot
 
     before = broken(given) if filtered else {}
     for corner in randomization.corners():
-        numbers.check_laws(corner)
+        chosen.check_laws(corner)
         for what, line in broken(corner).items() if filtered else ():
             if what not in before:
                 raise ScenarioError(f"randomize: {given.name or 'scenario'}: {line}")
@@ -99,7 +74,7 @@ class DrawnWorlds:
         randomization: Ranges of the fields.
         given: Scenario without the ranges.
         batch: Worlds, which may differ.
-        numbers: Numbers of the pilots; None: all actions are external and there are no estimates.
+        chosen: Laws and drivers; None: all actions are external and there are no estimates.
 
     Raises:
         ScenarioError: If the ranges break an assumption of the safety filter.
@@ -110,11 +85,11 @@ class DrawnWorlds:
         randomization: Randomization,
         given: Scenario,
         batch: Batch,
-        numbers: PilotNumbers | None,
+        chosen: ChosenPilots | None,
     ) -> None:
-        if numbers is not None:
-            _check_corners(randomization, given, numbers)
-        self._randomization, self._batch, self._numbers = randomization, batch, numbers
+        if chosen is not None:
+            _check_corners(randomization, given, chosen)
+        self._randomization, self._batch, self._chosen = randomization, batch, chosen
         self.scenarios = [randomization.widest] * batch.worlds
         """Scenario of each world's episode."""
         self._values = np.zeros((batch.worlds, len(randomization.keys)))
@@ -124,20 +99,18 @@ class DrawnWorlds:
         worlds: IntArray,
         seeds: Sequence[int] | IntArray,
         secret: str,
-        loop: tuple[LoopTables | CommandedTables, LoopState | CommandedState],
+        pilots: Pilots | None,
     ) -> None:
-        """Draw the values of restored worlds, and write them into the tables and the state of the loop."""
-        tables, state = loop
+        """Draw the values of restored worlds, and write them into the tables and the state of the pilots."""
         for world, seed in zip(worlds.tolist(), seeds, strict=True):
             self._values[world], scenario = self._randomization.draw(int(seed), secret)
             self.scenarios[world] = scenario
             self._batch.set_world(world, scenario)
-            if self._numbers is None or not isinstance(state, LoopState):
-                continue
-            own = self._numbers.numbers(scenario, MOST_LEVELS)
-            state.uavs[world] = own.uavs
-            for name, table in _tables_of(own).items():
-                _set_row(getattr(tables, name), world, table)
+            if self._chosen is not None and pilots is not None:
+                own = self._chosen.own_tables(scenario, MOST_LEVELS)
+                pilots.state.uavs.uav[world] = own.uavs.uav[0]
+                for name, table in own._asdict().items():
+                    _set_row(getattr(pilots.tables, name), world, table)
 
     def values(self, vehicle: str | None = None) -> dict[str, FloatArray]:
         """Return the values in all worlds by field: all, or those that a vehicle may know. Shape (worlds,)."""

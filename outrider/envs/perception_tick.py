@@ -10,12 +10,19 @@ from agents.estimation.map_updates import (
     record_tile,
 )
 from agents.uav_tick import perceive as perceive_uav
-from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
-from outrider.envs.vehicle_parts import camera_of, grid_of, inputs_of, memory_of
+from outrider.envs.closed_loop_arrays import (
+    LoopState,
+    LoopTables,
+    Pilots,
+    constants_of,
+    grid_of,
+    inputs_of,
+    memory_of,
+)
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED, Packet
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
-from sim.compiling.records import RecordArray, row_of
+from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState, TickArray
 from sim.engine.mission import receive_block
 from sim.models.ground import TileArray
@@ -69,17 +76,20 @@ def _sense_ground(
 
 
 @inlined
-def _radio(tables: LoopTables, state: LoopState, ground: GroundState | None, world: int) -> None:
+def _radio(
+    tables: LoopTables, state: LoopState, pilots: Pilots, ground: GroundState | None, world: int
+) -> None:
     """Send the radio messages of the previous tick, and receive those that arrive."""
-    batch, outbox, arrived = state.batch, state.outbox, state.arrived[world]
+    batch, own = state.batch, pilots.state
+    outbox, arrived = own.outbox, own.arrived[world]
     arrived[:] = 0
     tick, packets, traces = batch.ticks[world], batch.packets, tables.batch.traces
-    receivers = tables.receivers
+    receivers = pilots.tables.receivers
     # radio links follow the links of detections and commands
     first = receivers.shape[0] + tables.action_row.shape[0]
     for u in range(receivers.shape[0]):
         g = receivers[u]
-        link, come = batch.links[world, first + u], state.inboxes[world, g]
+        link, come = batch.links[world, first + u], own.inboxes[world, g]
         begin_tick(link, packets, world, traces, tick)
         for k in range(outbox.shape[2]):
             packet = outbox[world, u, k]
@@ -97,9 +107,8 @@ def _radio(tables: LoopTables, state: LoopState, ground: GroundState | None, wor
                 )
                 arrived[g] = n + 1
             elif ground is not None:
-                late = tables.late[row_of(tables.late.shape[0], world), g]
-                grid = grid_of(state.grids, late, world, g)
-                across, states = state.map_updates.repeats.shape[3], state.states[world]
+                grid = grid_of(own.grids, pilots.tables.late, world, g)
+                across, states = own.map_updates.repeats.shape[3], own.states[world]
                 place = _receive_block(grid, packet, across, states[:BLOCK_TILES])
                 receive_block(ground, world, g, tick, place, states[:BLOCK_TILES])
 
@@ -124,40 +133,41 @@ def _add_detections(packets: RecordArray, arrived: int, detections: FloatArray) 
 
 @inlined
 def perceive(
-    parameters: LoopParameters,
-    tables: LoopTables,
-    state: LoopState,
-    ground: GroundState | None,
-    world: int,
+    tables: LoopTables, state: LoopState, pilots: Pilots, ground: GroundState | None, world: int
 ) -> None:
     """Update the map and filters of each UAV and the inbox of each UGV from the messages of this tick."""
-    batch, escorts = state.batch, tables.batch.escorts
-    tick, detections = batch.ticks[world], state.detections[world]
-    row = row_of(tables.safety.shape[0], world)
+    batch, escorts, own = state.batch, tables.batch.escorts, pilots.state
+    parameters, tick, detections = (
+        pilots.tables.parameters,
+        batch.ticks[world],
+        own.detections[world],
+    )
     elapsed = 1 if parameters.own_maps and tick > 0 else 0  # otherwise the world updates the map
     for u in range(escorts.shape[0]):
         arrived = batch.links[world, u].arrived
         _add_detections(batch.packets[world, u, ARRIVED], arrived, detections)
-        inputs = inputs_of(tables, state, world, u, elapsed)
-        memory, camera = memory_of(tables, state, world, u), camera_of(tables.heights, world, u)
-        perceive_uav(camera, tables.safety[row, u : u + 1], memory, inputs, tables.filtered[u] != 0)
-        if tables.estimating[u]:
-            numbers, place = tables.kalman[row, u], (world, u)
-            update_estimate(numbers, state.kalman, place, tick, inputs.own, detections, arrived)
+        inputs = inputs_of(tables, state, pilots, world, u, elapsed)
+        constants, memory = constants_of(pilots.tables, world, u), memory_of(pilots, world, u)
+        perceive_uav(constants, memory, inputs, pilots.tables.filtered[u] != 0)
+        if pilots.tables.estimating[u]:
+            place = world, u
+            update_estimate(
+                constants.kalman[0], own.kalman, place, tick, inputs.own, detections, arrived
+            )
     if parameters.radio:
-        _radio(tables, state, ground, world)
+        _radio(tables, state, pilots, ground, world)
     if ground is not None:
         for u in range(escorts.shape[0] if parameters.map_update_ticks > 0 else 0):
             v = escorts[u, 0]
-            updates = map_updates_of(state.map_updates, world, u)
+            updates = map_updates_of(own.map_updates, world, u)
             seen = ground.seen[world, v, : ground.report_counts[world, v]]
             _record_reports(updates, seen, ground.known[world, v])
         for g in range(ground.ugvs.shape[0]):
             v = ground.ugvs[g]
             _sense_ground(
-                grid_of(state.grids, tables.late[row, g], world, g),
+                grid_of(own.grids, pilots.tables.late, world, g),
                 ground.seen[world, v, : ground.report_counts[world, v]],
                 ground.known[world, v],
-                state.places[world],
-                state.states[world],
+                own.places[world],
+                own.states[world],
             )

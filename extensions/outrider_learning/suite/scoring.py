@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.envs.pilot_numbers import pilot_names
+from outrider.envs.closed_loop_pilots import pilot_names
 from outrider.envs.worlds import Worlds
 from outrider.experiments.intervals import mean_interval
 from outrider_learning.suite.tasks import SEEDS, Task

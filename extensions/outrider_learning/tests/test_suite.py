@@ -10,7 +10,7 @@ import pytest
 from bus.messages.vehicle import Command
 from outrider.envs import worlds
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.envs.pilot_numbers import pilot_names
+from outrider.envs.closed_loop_pilots import pilot_names
 from outrider.envs.vector import OutriderVectorEnv
 from outrider.running.flying import InProcess, make_pilots, run
 from outrider_learning.suite.board import BASELINES, leaderboard, middle_cell

@@ -19,7 +19,7 @@ from sim.models.vehicles import Motion
 _CERTIFIED, _BEST = ALTITUDE_LAWS.index("certified"), ALTITUDE_LAWS.index("best")
 
 
-class HeightParameters(NamedTuple):
+class AltitudeParameters(NamedTuple):
     """Altitude law of one UAV, and its camera."""
 
     law: int
@@ -32,7 +32,7 @@ class HeightParameters(NamedTuple):
     camera: CameraParameters
 
 
-class HeightMemory:
+class AltitudeMemory:
     """Memory of the altitude law of one UAV, a record."""
 
     goal: float
@@ -41,7 +41,7 @@ class HeightMemory:
     """Tick of the last comparison of altitudes; -1: none yet."""
 
 
-def height_parameters(briefing: UavBriefing, uav: UavParameters) -> HeightParameters:
+def altitude_parameters(briefing: UavBriefing, uav: UavParameters) -> AltitudeParameters:
     """Return the altitude law and the camera of a UAV.
 
     Raises:
@@ -54,7 +54,7 @@ def height_parameters(briefing: UavBriefing, uav: UavParameters) -> HeightParame
     floor = least_altitude(briefing) if certified is None else certified
     top = own.max_altitude if certified is None else float(levels_of(briefing)["floor"][-1])
     lowest = min(floor + ABOVE_FLOOR, own.max_altitude)
-    return HeightParameters(
+    return AltitudeParameters(
         law=ALTITUDE_LAWS.index(own.law),
         lowest=lowest,
         highest=max(top, lowest),
@@ -65,9 +65,9 @@ def height_parameters(briefing: UavBriefing, uav: UavParameters) -> HeightParame
     )
 
 
-def height_memory(briefing: UavBriefing) -> RecordArray:
+def altitude_memory(briefing: UavBriefing) -> RecordArray:
     """Return the initial memory of the altitude law. Shape (1,)."""
-    memory = fresh(HeightMemory)
+    memory = fresh(AltitudeMemory)
     memory["goal"] = 0.0 if briefing.altitude is None else briefing.altitude.initial_altitude
     return memory
 
@@ -75,8 +75,8 @@ def height_memory(briefing: UavBriefing) -> RecordArray:
 @compiled
 def vertical_command(
     uav: UavParameters,
-    parameters: HeightParameters,
-    memory: HeightMemory,
+    parameters: AltitudeParameters,
+    memory: AltitudeMemory,
     tick: int,
     here: Motion,
     own: VerticalMotion,
