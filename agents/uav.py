@@ -33,7 +33,7 @@ from bus.ticks import looks_of, radio_ticks
 from sim.compiling.compile import FloatArray
 from sim.compiling.records import RecordArray
 from sim.models.altitude import vertical_motion
-from sim.models.buildings import building_table
+from sim.models.buildings import tables_of
 from sim.models.field import coverage_error
 from sim.models.sensor import SensorParameters
 from sim.models.vehicles import norm
@@ -142,8 +142,9 @@ class UavPilot:
     def _known_buildings(self) -> KnownBuildings | None:
         if self._vertical is None or self._briefing.max_building_height is None:
             return None
-        tables = building_table([(one.corners, one.height) for one in self._known])
-        return KnownBuildings(*tables, np.array(self._discovered, dtype=np.int64))
+        known = np.ones(len(self._known), dtype=np.bool_)
+        discovered = np.array(self._discovered, dtype=np.int64)
+        return KnownBuildings(*tables_of(self._known), known, discovered)
 
     def act(self, observation: UavObservation) -> UavCommand:
         """Return the command for this observation."""

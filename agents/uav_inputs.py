@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from bus.messages.vehicle import UavObservation
 from bus.ticks import Look, look_rows
@@ -19,12 +20,17 @@ DETECTION: Any = Look._make(range(3))
 
 
 class KnownBuildings(NamedTuple):
-    """Buildings that a UAV knows."""
+    """Buildings that a UAV knows.
+
+    A pilot has rows for these only. A batch has the rows of all buildings: only those marked in `known` may be used.
+    """
 
     rows: RecordArray
-    """`BuildingRow`; a row of height 0 is empty. Shape (buildings,)."""
+    """Table as from `sim.models.buildings.building_table`. Shape (buildings,)."""
     corners: FloatArray
     """Corners of the footprints [m]. Shape (corners, 2)."""
+    known: npt.NDArray[np.bool_]
+    """True for the buildings that the UAV knows. Shape (buildings,)."""
     discovered: IntArray
     """Tick in which the UAV discovered a building; -1: it did not. Shape (buildings,)."""
 

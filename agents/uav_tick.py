@@ -43,7 +43,7 @@ class UavMemory(NamedTuple):
 @unless_none
 @compiled
 def _seen_from(buildings: KnownBuildings, z: float) -> Occlusion:
-    return Occlusion(buildings.rows, buildings.corners, z)
+    return Occlusion(buildings.rows, buildings.corners, buildings.known, z)
 
 
 @compiled

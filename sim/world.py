@@ -259,11 +259,11 @@ class World:
 
     def discovered(self, uav: int) -> tuple[Building, ...]:
         """Return the buildings that a UAV has discovered in this tick."""
-        town = self._batch.state.town
-        if town is None or not self.parameters.discovers:
+        state, k = self._batch.state, self._number
+        buildings, town = state.buildings, state.town
+        if buildings is None or town is None or not self.parameters.discovers:
             return ()
-        k = self._number
-        rows, corners = town.buildings[k], town.corners[k]
+        rows, corners = buildings.hazards[k, buildings.first : buildings.end], buildings.corners
         return tuple(
             Building(
                 polygon=tuple((x, y) for x, y in corners[first : first + count].tolist()),

@@ -16,7 +16,7 @@ from sim.models.buildings import (
     line_of_sight,
     path_meets_building,
 )
-from sim.models.shadows import Occlusion, hidden_cells
+from sim.models.shadows import all_known, hidden_cells
 
 shapely = pytest.importorskip("shapely", reason="a development tool")
 
@@ -138,7 +138,7 @@ def test_hidden_cells_are_those_without_a_line_of_sight() -> None:
     for _ in range(2000):
         town, cell = random_town(rng), rng.choice((0.1, 0.25, 0.37, 1.0))
         radius, rows, columns = rng.uniform(0.3, 18.0 * cell), *rng.integers(1, 60, 2)
-        occlusion = Occlusion(*town.tables(), town.z)
+        occlusion = all_known(*town.tables(), town.z)
         cells = hidden_cells(occlusion, *town.camera, radius, cell, (rows, columns))
         x, y = np.meshgrid((np.arange(columns) + 0.5) * cell, (np.arange(rows) + 0.5) * cell)
         away = np.hypot(x - town.camera[0], y - town.camera[1])
@@ -217,7 +217,7 @@ def test_touching_buildings_hide_what_is_hidden_all_around() -> None:
         boxes, heights = rectangles(rng, rng.integers(1, 5))
         camera, z = on_grid(rng, boxes, heights)
         tables = table(boxes, heights)
-        cells = hidden_cells(Occlusion(*tables, z), *camera, 30.0, 1.0, (10, 10))
+        cells = hidden_cells(all_known(*tables, z), *camera, 30.0, 1.0, (10, 10))
         for row, column in rng.integers(0, 10, (15, 2)):
             point = np.array((column + 0.5, row + 0.5))
             hidden = hidden_around(boxes, heights, camera, z, point)

@@ -16,11 +16,11 @@ from bus.messages.ground import Hazard
 from properties import PROPERTY
 from refusals import refusal
 from sim.engine.briefing import briefing
+from sim.models.buildings import tables_of
 from sim.models.ground import CLEAR, add_polygon, fill_tiles, tile_index, tiles_shape
 from sim.models.hazards import BLOCK
 from sim.scenario.building_tables import max_building_height
 from sim.scenario.checks import check_scenario
-from sim.scenario.ground_tables import building_rows, corners_of
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import BuildingField, Buildings, Ground, HazardField, Scenario, Uav, Ugv
 from sim.world import World
@@ -147,7 +147,7 @@ def test_narrow_streets_around_given_walls_stay_open(
     away = [distance for x, y in places for distance in distances(buildings[1:], x, y)]
     assert min(away, default=math.inf) >= max(clearance, clear) - 1e-9
     tiles = np.full(tiles_shape(one.area.width, one.area.height, tile), CLEAR, np.uint8)
-    fill_tiles(building_rows(buildings, first=0), corners_of(buildings), tile, tiles)
+    fill_tiles(*tables_of(buildings), tile, tiles)
     if known:
         for building in buildings:
             add_polygon(np.array(building.corners), clearance, BLOCK, tile, tiles)

@@ -23,7 +23,7 @@ from sim.models.field import (
     coverage_gradient,
 )
 from sim.models.sensor import SensorParameters
-from sim.models.shadows import Occlusion, hidden_cells
+from sim.models.shadows import Occlusion, all_known, hidden_cells
 
 CELL, R, DESIRED = 0.25, 5.0, 2.0
 KINDS = range(len(SENSORS))
@@ -48,7 +48,7 @@ def town(seed: int = 3):
 
 
 def occlusion(buildings, z: float) -> Occlusion:
-    return Occlusion(*building_table(buildings), z)
+    return all_known(*building_table(buildings), z)
 
 
 def centers(cell: float, rows: int, columns: int):
@@ -79,7 +79,7 @@ def test_buildings_that_are_not_higher_stop_nothing(buildings) -> None:
     assert building_distance(*tables, 3.0, 3.0, 3.0) == math.inf
     assert path_meets_building(*tables, (0.0, 0.0), (9.0, 9.0), 3.0) == math.inf
     assert line_of_sight(*tables, 0.0, 0.0, 5.0, 9.0, 9.0, 3.0)
-    assert not hidden_cells(Occlusion(*building_table([]), 5.0), 5.0, 5.0, R, CELL, (40, 40)).any()
+    assert not hidden_cells(all_known(*building_table([]), 5.0), 5.0, 5.0, R, CELL, (40, 40)).any()
 
 
 # Lines of sight
@@ -125,6 +125,18 @@ def test_shadow_of_walls_in_line_with_the_camera() -> None:
     wanted = (x > 3.5) & (y > 1.5) & (y - 1.5 < x - 1.5)
     found = hidden_cells(occlusion([(corners, 5.0)], 4.0), 1.5, 1.5, 30.0, 1.0, (12, 12))
     np.testing.assert_array_equal(found, wanted)
+
+
+def test_a_building_that_is_not_known_hides_nothing() -> None:
+    houses = town()
+    rows, corners = building_table(houses)
+    known = np.arange(len(houses)) % 3 == 0
+    place = 11.0, 9.0, 30.0, CELL, (160, 160)
+    wanted = hidden_cells(occlusion(houses[::3], 9.0), *place)
+    assert hidden_cells(Occlusion(rows, corners, known, 9.0), *place).tobytes() == wanted.tobytes()
+    assert wanted.any()
+    none = np.zeros_like(known)
+    assert not hidden_cells(Occlusion(rows, corners, none, 9.0), *place).any()
 
 
 # Coverage

@@ -18,7 +18,7 @@ from flights import DESIRED, briefing_of, escort, flown_law, uav_sees
 from outrider.running.flying import fly
 from sim.models.buildings import building_table
 from sim.models.field import accumulate, coverage_error, empty_coverage
-from sim.models.shadows import Occlusion
+from sim.models.shadows import Occlusion, all_known
 from sim.models.vehicles import Motion, step_vehicle
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Area
@@ -98,7 +98,7 @@ def test_motion_is_worth_the_ground_that_it_will_see() -> None:
     coverage = empty_coverage(36.0, 36.0, 0.75)
     coverage[:, 12:] = 0.7
     wall = [(15.0, 16.0), (19.0, 16.5), (19.0, 18.0), (15.0, 18.0)]
-    blocks = Occlusion(*building_table([(wall, 4.0)]), 6.0)
+    blocks = all_known(*building_table([(wall, 4.0)]), 6.0)
     ahead = _ahead(c, coverage, 7, UGV, FOREVER)
     for _ in range(5):
         angle, speed = rng.uniform(0.0, 2.0 * math.pi, 9), rng.uniform(0.3, 0.6, 9)

@@ -8,12 +8,12 @@ from scipy.ndimage import binary_dilation
 
 from bus.messages.buildings import Building
 from sim.engine.run_keys import derive_keys
+from sim.models.buildings import tables_of
 from sim.models.ground import UNSEEN
 from sim.models.hazards import BLOCK, distance_to_hazard
 from sim.models.randomness import BUILDING_FIELDS
 from sim.scenario.building_tables import run_buildings
 from sim.scenario.checks import check_scenario
-from sim.scenario.ground_tables import building_rows, corners_of
 from sim.scenario.types import Scenario, Ugv
 
 HOUSE = Building(polygon=((10.0, 10.0), (14.0, 10.0), (14.0, 14.0), (10.0, 14.0)), height=5.0)
@@ -38,7 +38,7 @@ def drawn(one: Scenario, seed: int, secret: str = "") -> tuple[Building, ...]:
 
 
 def distances(buildings: tuple[Building, ...], x: float, y: float) -> list[float]:
-    rows, corners = building_rows(buildings, first=0), corners_of(buildings)
+    rows, corners = tables_of(buildings)
     return [distance_to_hazard(rows, corners, k, x, y) for k in range(len(rows))]
 
 

@@ -111,7 +111,7 @@ def best_altitude(
         if occlusion is None:
             gain = expected_gain(coverage, own, target, area[0], area[1], seeing, area[2])
         else:
-            seen = Occlusion(occlusion.buildings, occlusion.corners, z)
+            seen = Occlusion(occlusion.buildings, occlusion.corners, occlusion.known, z)
             gain = expected_gain(coverage, own, target, area[0], area[1], seeing, area[2], seen)
         if gain > most * (1.0 + 1e-9):
             found, most = z, gain

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from bus.messages.buildings import Building
 from bus.messages.vehicle import UavBriefing
 from sim.compiling.compile import FloatArray
-from sim.models.buildings import building_table, cover_footprint
+from sim.models.buildings import cover_footprint, tables_of
 from sim.models.field import cover, empty_coverage
 
 
@@ -34,6 +34,6 @@ def cover_buildings(
         briefing: Briefing of the UAV.
         buildings: Buildings that it has learnt of.
     """
-    known = building_table([(one.corners, one.height) for one in buildings])
+    known = tables_of(buildings)
     for k in range(len(buildings)):
         cover_footprint(coverage, *known, k, briefing.area.cell, briefing.desired_coverage)

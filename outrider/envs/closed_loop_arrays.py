@@ -14,7 +14,7 @@ from agents.uav_tick import UavMemory
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
 from sim.compiling.dispatch import unless_none
 from sim.compiling.records import RecordArray, row_of
-from sim.engine.space_state import TownState
+from sim.engine.space_state import TownState, TownTables, building_rows
 from sim.engine.world_state import BatchState, BatchTables, Vehicle
 from sim.env.rows import RowState, RowTables
 from sim.models.altitude import VerticalMotion
@@ -250,8 +250,9 @@ def _vertical_of(altitude: RecordArray, vehicle: Vehicle) -> VerticalMotion:
 
 @unless_none
 @compiled
-def _buildings_of(town: TownState, world: int, uav: int) -> KnownBuildings:
-    return KnownBuildings(town.seen[world, uav], town.corners[world], town.found[world, uav])
+def _buildings_of(town: TownState, buildings: TownTables, world: int, uav: int) -> KnownBuildings:
+    rows = building_rows(buildings, world)
+    return KnownBuildings(rows, buildings.corners, town.known[world, uav], town.found[world, uav])
 
 
 @inlined
@@ -269,5 +270,5 @@ def inputs_of(
         batch.flown[world, vehicle, 0].begins,
         pilots.state.detections[world],
         batch.links[world, uav].arrived,
-        _buildings_of(batch.town, world, uav),
+        _buildings_of(batch.town, batch.buildings, world, uav),
     )

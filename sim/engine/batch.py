@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.errors import ScenarioError
-from bus.messages.buildings import Building
 from bus.messages.links import LinkKind, LinkSettings
 from bus.ticks import first_tick_from
 from sim.channel.description import check_link
@@ -22,7 +21,7 @@ from sim.engine.briefing import safety_parameters, ugv_carries, ugv_delay
 from sim.engine.ground_state import CONSTANTS, GroundState, ground_of, strides_of
 from sim.engine.run_keys import check_seed, derive_keys
 from sim.engine.scenario_links import ENGINE_LINKS, key_rows, links_of, vehicles_with
-from sim.engine.space_state import town_of
+from sim.engine.space_state import buildings_of, town_of
 from sim.engine.world_state import (
     BatchState,
     BatchTables,
@@ -33,7 +32,6 @@ from sim.engine.world_state import (
     world_parameters,
 )
 from sim.engine.world_tick import begin_world, world_tick
-from sim.models.buildings import building_table
 from sim.models.motion import no_motions
 from sim.models.randomness import BUILDING_FIELDS, HAZARD_FIELDS
 from sim.scenario.building_tables import run_buildings
@@ -128,6 +126,9 @@ class Batch:
         self.link_table = scenario.links
         """Current settings of the links, in the form of a scenario."""
         rows = worlds if differ else 1
+        self.ground = ground_of(scenario, worlds, rows)
+        """State of the ground; None: no hazards."""
+        buildings = buildings_of(scenario, self.ground)
         self.tables = batch_tables(scenario, self.parameters, self.links.traces, rows)
         vehicles = first_vehicles(scenario)
         self.state = BatchState(
@@ -137,14 +138,14 @@ class Batch:
             motions=no_motions(worlds, len(vehicles), self._motion_rows()),
             flown=no_motions(worlds, len(vehicles), 1),
             links=self.links.records,
-            town=town_of(scenario, worlds),
+            buildings=buildings,
+            town=town_of(scenario, buildings),
             packets=self.links.packets,
         )
-        self.ground = ground_of(scenario, worlds, rows)
-        """State of the ground; None: no hazards."""
         changing = self.ground._asdict() if self.ground is not None else {}
         changing |= self.state._asdict()
-        for constant in (*CONSTANTS, "packets"):  # unused packet arrays are created with the links
+        # the buildings are rows of the ground; unused packet arrays are created with the links
+        for constant in (*CONSTANTS, "buildings", "packets"):
             changing.pop(constant, None)
         self.fresh = Fresh(tuple(changing.values()))
         """Initial state of every world."""
@@ -211,20 +212,9 @@ class Batch:
                 first, second = keys[BUILDING_FIELDS]
                 buildings = run_buildings(scenario, (first, second))
                 own = place_buildings(scenario, own, buildings, first_corner(scenario, tables, k))
-                self._build(k, buildings)
             if scenario.hazard_field:
                 first, second = keys[HAZARD_FIELDS]
                 place_fields(scenario, own, (first, second))
-
-    def _build(self, world: int, buildings: Sequence[Building]) -> None:
-        """Set the buildings of a world, which hide the ground from its UAVs."""
-        town = self.state.town
-        if town is None:
-            return
-        rows, corners = building_table([(one.corners, one.height) for one in buildings])
-        town.buildings[world], town.corners[world] = 0, 0.0
-        town.buildings[world, : len(rows)] = rows
-        town.corners[world, : len(corners)] = corners
 
     def set_world(self, world: int, scenario: Scenario) -> None:
         """Give a restored world the numbers of this scenario, which needs arrays of the same shapes."""

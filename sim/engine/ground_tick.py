@@ -259,7 +259,7 @@ def perceive_ground(
         for u in range(escorts.shape[0]):
             v = escorts[u, 0]
             one = state.vehicles[world, v]
-            sensor, occlusion = view_of(tables.cameras, numbers, state.town, world, u, one)
+            sensor, occlusion = view_of(tables.cameras, numbers, state.buildings, world, u, one)
             _update_sensor(numbers, ground, one, sensor, occlusion, (world, u, v))
     for n in range(ground.ugvs.shape[0]):
         _sense_near(ground, state.vehicles[world, ground.ugvs[n]], world, ground.ugvs[n])

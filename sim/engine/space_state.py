@@ -6,30 +6,42 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sim.compiling.compile import FloatArray, IntArray
+from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.compiling.records import RecordArray, records
-from sim.models.buildings import building_table
+from sim.engine.ground_state import GroundState
 from sim.models.camera import CameraParameters
-from sim.scenario.building_tables import building_rooms
+from sim.scenario.ground_tables import BLOCK_CORNERS
 from sim.scenario.types import Scenario
 
 
-class TownState(NamedTuple):
-    """Buildings of each world; rows of height 0 are empty."""
+class TownTables(NamedTuple):
+    """Buildings of all worlds: rows of the ground's table of hazards, no copies."""
 
-    buildings: RecordArray
-    """`BuildingRow`. Shape (worlds, buildings)."""
+    hazards: RecordArray
+    """The array `GroundState.hazards`. Shape (worlds, hazards)."""
     corners: FloatArray
-    """Corners of their footprints [m]. Shape (worlds, corners, 2)."""
-    seen: RecordArray
-    """`BuildingRow` of the buildings that each UAV knows, in the rows of `buildings`; the other rows are empty.
+    """The array `GroundState.corners`. Shape (corners, 2)."""
+    first: int
+    end: int
+    """Rows of the buildings, end exclusive; rows of height 0 are empty."""
 
-    Shape (worlds, UAVs, buildings).
-    """
+
+class TownState(NamedTuple):
+    """Knowledge that the UAVs have of the buildings."""
+
+    known: npt.NDArray[np.bool_]
+    """True for the buildings that each UAV knows. Shape (worlds, UAVs, buildings)."""
     found: IntArray
     """Tick in which each UAV discovered a building; -1: it did not. Shape (worlds, UAVs, buildings)."""
     sighted: npt.NDArray[np.bool_]
-    """True for the corners that each UAV has seen. Shape (worlds, UAVs, corners)."""
+    """True for the corners that each UAV has seen. Shape (worlds, UAVs, buildings, most corners of a building)."""
+
+
+@compiled
+def building_rows(buildings: TownTables, world: int) -> RecordArray:
+    """Return the buildings of a world: a view of `HazardRow`. Shape (buildings,)."""
+    rows: RecordArray = buildings.hazards[world, buildings.first : buildings.end]
+    return rows
 
 
 def cameras_of(scenario: Scenario) -> RecordArray | None:
@@ -49,19 +61,25 @@ def cameras_of(scenario: Scenario) -> RecordArray | None:
     )
 
 
-def town_of(scenario: Scenario, worlds: int) -> TownState | None:
-    """Return the given buildings of a scenario in each world, with room for random ones; None: no buildings."""
-    if not scenario.has_buildings or not scenario.has_altitude:
+def buildings_of(scenario: Scenario, ground: GroundState | None) -> TownTables | None:
+    """Return the buildings of all worlds, which hide ground from cameras; None: there are none."""
+    if ground is None or not scenario.has_buildings or not scenario.has_altitude:
         return None
-    rows, corners = building_table([(one.corners, one.height) for one in scenario.building])
-    room = sum(building_rooms(scenario))
-    rows = np.concatenate([rows, np.zeros(room, rows.dtype)])
-    corners = np.concatenate([corners, np.zeros((4 * room, 2))])
-    seen = rows if scenario.buildings.known else np.zeros_like(rows)
-    return TownState(
-        np.repeat(rows[None], worlds, axis=0),
-        np.repeat(corners[None], worlds, axis=0),
-        np.tile(seen, (worlds, len(scenario.uav), 1)),
-        np.full((worlds, len(scenario.uav), len(rows)), -1),
-        np.zeros((worlds, len(scenario.uav), len(corners)), dtype=np.bool_),
-    )
+    parameters = ground.parameters[0]
+    rows = int(parameters["first_building"]), int(parameters["end_building"])
+    return TownTables(ground.hazards, ground.corners, *rows)
+
+
+def town_of(scenario: Scenario, buildings: TownTables | None) -> TownState | None:
+    """Return the initial knowledge of the UAVs; None: there are no buildings.
+
+    They may know the given buildings, but none at a random position.
+    """
+    if buildings is None:
+        return None
+    shape = len(buildings.hazards), len(scenario.uav), buildings.end - buildings.first
+    known = np.zeros(shape, dtype=np.bool_)
+    known[..., : len(scenario.building)] = scenario.buildings.known
+    corners = max([BLOCK_CORNERS, *(len(one.corners) for one in scenario.building)])
+    sighted = np.zeros((*shape, corners), dtype=np.bool_)
+    return TownState(known, np.full(shape, -1), sighted)

@@ -5,7 +5,7 @@ import math
 from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.compiling.dispatch import unless_none
 from sim.compiling.records import RecordArray
-from sim.engine.space_state import TownState
+from sim.engine.space_state import TownState, TownTables, building_rows
 from sim.engine.world_state import BatchState, Vehicle, WorldParameters
 from sim.models.altitude import level_off, step_altitude
 from sim.models.buildings import line_of_sight, path_meets_building, sees_corner
@@ -21,7 +21,7 @@ from sim.models.field import Demand, accumulate, accumulate_with_gain
 from sim.models.polygons import distance_to_polygon
 from sim.models.randomness import DETECTION_CHANCE, DETECTION_NOISE, key_of
 from sim.models.sensor import SensorParameters
-from sim.models.shadows import Occlusion
+from sim.models.shadows import Occlusion, all_known
 from sim.models.vehicles import norm
 
 _OFF_WALL = 1e-6
@@ -30,15 +30,17 @@ _OFF_WALL = 1e-6
 
 @unless_none
 @compiled
-def occlusion_of(town: TownState, world: int, z: float) -> Occlusion:
+def occlusion_of(buildings: TownTables, world: int, z: float) -> Occlusion:
     """Return the buildings of a world as a camera at altitude z sees them; None without buildings."""
-    return Occlusion(town.buildings[world], town.corners[world], z)
+    seen: Occlusion = all_known(building_rows(buildings, world), buildings.corners, z)
+    return seen
 
 
 @unless_none
 @compiled
 def discover(
     town: TownState,
+    buildings: TownTables,
     cameras: RecordArray,
     numbers: WorldParameters,
     place: tuple[int, int, int],
@@ -53,36 +55,37 @@ def discover(
         return
     x, y, z = uav.reference_position[0], uav.reference_position[1], uav.vertical.altitude
     reach = range_at(numbers.sensor.reach, cameras[k].tangent, z)
-    buildings, corners = town.buildings[world], town.corners[world]
-    seen, sighted = town.seen[world, k], town.sighted[world, k]
-    for n in range(buildings.shape[0]):
-        row = buildings[n]
-        if row["height"] == 0.0 or seen[n]["height"] > 0.0:
+    rows, corners = building_rows(buildings, world), buildings.corners
+    known, sighted = town.known[world, k], town.sighted[world, k]
+    for n in range(rows.shape[0]):
+        row = rows[n]
+        if row["height"] == 0.0 or known[n]:
             continue
         d_x, d_y, far = row["x"] - x, row["y"] - y, row["reach"] + reach
         if d_x * d_x + d_y * d_y > far * far:
             continue
         missing = 0
-        for i in range(row["first"], row["first"] + row["corners"]):
-            if not sighted[i]:
-                sighted[i] = sees_corner(buildings, corners, n, i, (x, y, z), reach)
-            missing += 0 if sighted[i] else 1
+        for i in range(row["corners"]):
+            if not sighted[n, i]:
+                corner = row["first"] + i
+                sighted[n, i] = sees_corner(rows, corners, n, corner, (x, y, z), reach)
+            missing += 0 if sighted[n, i] else 1
         if missing == 0:
-            seen[n] = row
+            known[n] = True
             town.found[world, k, n] = tick
 
 
 @compiled
 def _sees(
-    town: TownState | None, world: int, camera: CameraParameters, uav: Vehicle, ugv: Vehicle
+    buildings: TownTables | None, world: int, camera: CameraParameters, uav: Vehicle, ugv: Vehicle
 ) -> bool:
     """Return whether no building hides the UGV's marker from a UAV."""
-    if town is None:
+    if buildings is None:
         return True
     return bool(
         line_of_sight(
-            town.buildings[world],
-            town.corners[world],
+            building_rows(buildings, world),
+            buildings.corners,
             uav.position[0],
             uav.position[1],
             uav.vertical.altitude,
@@ -96,7 +99,7 @@ def _sees(
 @compiled
 def measure_sight(
     numbers: WorldParameters,
-    town: TownState | None,
+    buildings: TownTables | None,
     world: int,
     cameras: RecordArray | None,
     k: int,
@@ -111,7 +114,7 @@ def measure_sight(
         radius = visibility_radius_at(
             numbers.r_v, camera.tangent, camera.marker_height, uav.vertical.altitude
         )
-        uav.sight_radius = radius if _sees(town, world, camera, uav, ugv) else 0.0
+        uav.sight_radius = radius if _sees(buildings, world, camera, uav, ugv) else 0.0
 
 
 @compiled
@@ -134,7 +137,7 @@ def look(
     """
     world, k = place
     coverage = state.coverage[world]
-    sensor, occlusion = view_of(cameras, numbers, state.town, world, k, uav)
+    sensor, occlusion = view_of(cameras, numbers, state.buildings, world, k, uav)
     x, y = uav.position[0], uav.position[1]
     if numbers.gains:
         demand = Demand(ugv.position[0], ugv.position[1], numbers.r_o, numbers.desired)
@@ -149,7 +152,7 @@ def look(
 def run_detector(
     cameras: RecordArray | None,
     numbers: WorldParameters,
-    town: TownState | None,
+    buildings: TownTables | None,
     place: tuple[int, int, int],
     uav: Vehicle,
     ugv: Vehicle,
@@ -159,7 +162,7 @@ def run_detector(
     Args:
         cameras: `CameraParameters` of each UAV; None: they fly in the plane.
         numbers: Parameters of the world.
-        town: Buildings; None: there are none.
+        buildings: Buildings; None: there are none.
         place: World, row among the UAVs, and tick.
         uav, ugv: The UAV, whose detection is changed, and its UGV.
     """
@@ -168,7 +171,7 @@ def run_detector(
     radius, reach, noise = numbers.r_v, numbers.sensor.reach, numbers.sigma
     if cameras is not None:
         camera, z = cameras[k], uav.vertical.altitude
-        if not _sees(town, world, camera, uav, ugv):
+        if not _sees(buildings, world, camera, uav, ugv):
             return
         radius = visibility_radius_at(numbers.r_v, camera.tangent, camera.marker_height, z)
         reach = range_at(numbers.sensor.reach, camera.tangent, z)
@@ -216,7 +219,9 @@ def keep_places(
 
 
 @compiled
-def _climb(numbers: WorldParameters, town: TownState | None, world: int, uav: Vehicle) -> None:
+def _climb(
+    numbers: WorldParameters, buildings: TownTables | None, world: int, uav: Vehicle
+) -> None:
     """Advance the vertical motion of a UAV by one tick, and stop it at roofs and walls.
 
     A UAV over a building does not sink below the roof plus its vertical clearance. One that flies against a building
@@ -224,7 +229,7 @@ def _climb(numbers: WorldParameters, town: TownState | None, world: int, uav: Ve
 
     Args:
         numbers: Parameters of the world.
-        town: Buildings; None: there are none.
+        buildings: Buildings; None: there are none.
         world: Index of the world.
         uav: The UAV, after its horizontal motion.
     """
@@ -237,17 +242,17 @@ def _climb(numbers: WorldParameters, town: TownState | None, world: int, uav: Ve
     own.altitude, own.rate, own.acceleration = step_altitude(
         own.altitude, own.rate, command, limits, numbers.dt
     )
-    if town is None:
+    if buildings is None:
         return
-    buildings, corners = town.buildings[world], town.corners[world]
-    roof = _roof_below(buildings, corners, uav, start[0], start[1])
+    rows, corners = building_rows(buildings, world), buildings.corners
+    roof = _roof_below(rows, corners, uav, start[0], start[1])
     if own.altitude < roof:
         own.altitude, own.rate = roof, max(own.rate, 0.0)
         own.contacts += 1
     place = uav.reference_position
     end = place[0], place[1]
     height = own.altitude - own.clearance
-    share = path_meets_building(buildings, corners, start, end, height)
+    share = path_meets_building(rows, corners, start, end, height)
     if share <= 1.0:
         length = norm(end[0] - start[0], end[1] - start[1])
         share = max(0.0, share - _OFF_WALL / length) if length > 0.0 else 0.0
@@ -270,14 +275,14 @@ def climb_all(
         for k in range(escorts.shape[0]):
             uav = state.vehicles[world, escorts[k, 0]]
             if uav.vertical.flies:
-                _climb(numbers, state.town, world, uav)
+                _climb(numbers, state.buildings, world, uav)
 
 
 @compiled
 def view_of(
     cameras: RecordArray | None,
     numbers: WorldParameters,
-    town: TownState | None,
+    buildings: TownTables | None,
     world: int,
     k: int,
     uav: Vehicle,
@@ -287,4 +292,4 @@ def view_of(
     sensor = SensorParameters(plain.model, plain.peak, plain.reach)
     if cameras is not None:
         sensor = sensor_at(sensor, cameras[k], z)
-    return sensor, occlusion_of(town, world, z)
+    return sensor, occlusion_of(buildings, world, z)

@@ -13,7 +13,7 @@ from bus.ticks import MOST_TICKS
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import Pair, RecordArray, record_type, records
 from sim.engine.briefing import monitored_bounds, ugv_carries
-from sim.engine.space_state import TownState, cameras_of
+from sim.engine.space_state import TownState, TownTables, cameras_of
 from sim.models.altitude import VerticalMotion, vertical_motion
 from sim.models.field import cover, empty_coverage
 from sim.models.inner_loop import Disturbance
@@ -166,8 +166,10 @@ class BatchState(NamedTuple):
 
     Shape (worlds, links).
     """
-    town: TownState | None
+    buildings: TownTables | None
     """Buildings; None: there are none."""
+    town: TownState | None
+    """Knowledge of the buildings; None: there are none."""
     packets: RecordArray
     """`Packet`: in transit, queued, and arrived at this tick. Shape (worlds, links, 3, room)."""
 

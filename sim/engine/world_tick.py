@@ -94,7 +94,7 @@ def measure(tables: BatchTables, state: BatchState, world: int, error: bool) -> 
     for k in range(escorts.shape[0]):
         uav, ugv = vehicles[world, escorts[k, 0]], vehicles[world, escorts[k, 1]]
         uav.distance = norm(uav.position[0] - ugv.position[0], uav.position[1] - ugv.position[1])
-        measure_sight(numbers, state.town, world, tables.cameras, k, uav, ugv)
+        measure_sight(numbers, state.buildings, world, tables.cameras, k, uav, ugv)
         uav.coverage_error = 0.0
         if error:
             uav.coverage_error = coverage_error(
@@ -241,10 +241,11 @@ def _perceive(
         ugv = state.vehicles[world, tables.escorts[u, 1]]
         uav.detection[0], uav.detection[1] = np.nan, np.nan
         tick = state.ticks[world]
+        place = world, u, tick
         if numbers.discovers:
-            discover(state.town, tables.cameras, numbers, (world, u, tick), uav)
+            discover(state.town, state.buildings, tables.cameras, numbers, place, uav)
         if tick % numbers.period == 0:
-            run_detector(tables.cameras, numbers, state.town, (world, u, tick), uav, ugv)
+            run_detector(tables.cameras, numbers, state.buildings, place, uav, ugv)
 
 
 @inlined

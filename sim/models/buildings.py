@@ -3,19 +3,22 @@
 A building is the set of the points above its footprint, a simple polygon, from the ground up to its height. For contact
 it is closed: a path that touches a wall has met it. For sight it is open: a wall hides what is behind it, but neither
 itself nor what leans on it from outside. A sight line needs a gap, though: one that touches buildings on both of its
-sides, as between two that share a wall, is blocked. All functions work on tables of `BuildingRow`; no camera is inside
-a building.
+sides, as between two that share a wall, is blocked. No camera is inside a building.
+
+A building is a row of a table of hazards, a polygon with a height; its corners are in counterclockwise order. Rows of
+height 0 are empty.
 """
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
+from bus.messages.buildings import Building
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray, records
 from sim.models.grid import chord
+from sim.models.hazards import BLOCK, HazardRow
 from sim.models.polygons import (
     ON_EDGE,
     distance_to_polygon,
@@ -30,38 +33,23 @@ _MARGIN = 1e-9
 """Excess of a bounding circle's radius [m]. It exceeds the rounding error in areas of up to 10 km."""
 
 
-class BuildingRow(NamedTuple):
-    """Building, a row of a table."""
-
-    x: float
-    y: float
-    """Center of a circle around the footprint [m]."""
-    reach: float
-    """Radius of this circle [m]."""
-    height: float
-    """Height of the roof above the ground [m]."""
-    first: int
-    """Row of its first corner in the table of corners, where its corners are in counterclockwise order."""
-    corners: int
-    """Number of its corners."""
-
-
 def building_table(
-    buildings: Sequence[tuple[Sequence[tuple[float, float]], float]],
+    buildings: Sequence[tuple[Sequence[tuple[float, float]], float]], first: int = 0
 ) -> tuple[RecordArray, FloatArray]:
     """Return the tables of buildings.
 
     Args:
         buildings: For each building the corners of its footprint [m], in either orientation, and its height [m].
+        first: Row of their first corner in the table of corners.
 
     Returns:
-        The table of `BuildingRow`, and the corners of all footprints [m], shape (corners, 2).
+        The table of `HazardRow`, and the corners of all footprints [m], shape (corners, 2).
 
     Raises:
         ValueError: If a footprint has no area, or a height is not positive and finite.
     """
-    rows: list[BuildingRow] = []
-    corners, first = [np.zeros((0, 2))], 0
+    rows: list[HazardRow] = []
+    corners = [np.zeros((0, 2))]
     for k, (polygon, height) in enumerate(buildings):
         footprint = np.array(polygon, dtype=np.float64).reshape(-1, 2)
         area = _signed_area(footprint)
@@ -72,10 +60,15 @@ def building_table(
         footprint = footprint if area > 0.0 else footprint[::-1]
         x, y = (0.5 * (footprint.min(axis=0) + footprint.max(axis=0))).tolist()
         reach = float(np.hypot(footprint[:, 0] - x, footprint[:, 1] - y).max()) + _MARGIN
-        rows.append(BuildingRow(x, y, reach, height, first, len(footprint)))
+        rows.append(HazardRow(BLOCK, 1.0, x, y, 0.0, reach, first, len(footprint), height))
         corners.append(footprint)
         first += len(footprint)
-    return records(BuildingRow, rows), np.concatenate(corners)
+    return records(HazardRow, rows), np.concatenate(corners)
+
+
+def tables_of(buildings: Sequence[Building], first: int = 0) -> tuple[RecordArray, FloatArray]:
+    """Return the `building_table` of messages."""
+    return building_table([(one.corners, one.height) for one in buildings], first)
 
 
 def _signed_area(footprint: FloatArray) -> float:

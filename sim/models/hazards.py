@@ -42,6 +42,8 @@ class HazardRow(NamedTuple):
     """Row of its first corner in the table of corners."""
     corners: int
     """Number of its corners; 0: a disc."""
+    height: float = 0.0
+    """Height of the roof of a building above the ground [m]; 0: not a building."""
 
 
 @compiled

@@ -34,14 +34,22 @@ Corner = tuple[float, float]
 
 
 class Occlusion(NamedTuple):
-    """Buildings, and the height from which a camera looks down on them."""
+    """Known buildings, and the height from which a camera looks down on them."""
 
     buildings: RecordArray
-    """Table of `BuildingRow`."""
+    """Table as from `building_table`. Shape (buildings,)."""
     corners: FloatArray
     """Corners of the footprints [m]. Shape (corners, 2)."""
+    known: npt.NDArray[np.bool_]
+    """True for the buildings that hide ground; the others are as if they did not exist. Shape (buildings,)."""
     z: float
     """Height of the camera above the ground [m]; above the roof of a building that the camera is over."""
+
+
+@compiled
+def all_known(buildings: RecordArray, corners: FloatArray, z: float) -> Occlusion:
+    """Return the occlusion by all buildings of a table. Arguments as in `Occlusion`."""
+    return Occlusion(buildings, corners, np.ones(buildings.shape[0], dtype=np.bool_), z)
 
 
 class _Outlines(NamedTuple):
@@ -178,7 +186,7 @@ def cast_shadow(
     first_row: int,
     chords: IntArray,
 ) -> Shadow:
-    """Return the shadow of all buildings in a sensor's disc.
+    """Return the shadow of the known buildings in a sensor's disc.
 
     Only buildings that meet the disc matter: it contains the segments from its points to the camera.
 
@@ -203,6 +211,8 @@ def cast_shadow(
     per_cell, bottom = 1.0 / cell, first_row + 0.5
     camera = x * per_cell - 0.5, y * per_cell - bottom
     for k in range(occlusion.buildings.shape[0]):
+        if not occlusion.known[k]:
+            continue
         row = occlusion.buildings[k]
         d_x, d_y, far = row["x"] - x, row["y"] - y, row["reach"] + radius
         if d_x * d_x + d_y * d_y <= far * far:

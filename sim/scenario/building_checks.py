@@ -9,10 +9,10 @@ from bus.messages.buildings import MOST_BUILDINGS, AltitudeLimits
 from bus.numbers import at_least, below, exact
 from bus.registry import ALTITUDE_LAWS, CAUTIONS
 from sim.input.faults import Fault, unknown_name
+from sim.models.buildings import tables_of
 from sim.models.hazards import BLOCK, hazard_at
 from sim.scenario.building_tables import highest_building, most_buildings
 from sim.scenario.clearance import clearance_fault, least_distance, tile_clearance
-from sim.scenario.ground_tables import building_rows, corners_of
 from sim.scenario.polygon_checks import first_contact, polygon_faults
 from sim.scenario.stops import all_stops
 from sim.scenario.types import Scenario, Ugv, altitude_limits
@@ -153,7 +153,7 @@ def buildings_leave_stops_free(scenario: Scenario) -> Iterator[Fault]:
     """Check that no building covers a start or a goal of a UGV, or the start of a UAV that is too low over it."""
     if not scenario.building:
         return
-    rows, corners = building_rows(scenario.building, first=0), corners_of(scenario.building)
+    rows, corners = tables_of(scenario.building)
     for path, (x, y) in all_stops(scenario):
         k = hazard_at(rows, corners, BLOCK, x, y)
         if k >= 0:

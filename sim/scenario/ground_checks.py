@@ -11,11 +11,11 @@ from bus.messages.ground import Hazard
 from bus.numbers import above, at_least, exact
 from bus.registry import CAUTIONS, DRIVERS, HAZARDS, TOUCHES
 from sim.input.faults import Fault, unknown_name
+from sim.models.buildings import tables_of
 from sim.models.ground import TileArray, span, tile_index
 from sim.models.hazards import BLOCK, TOUCH, crosses_hazard, hazard_at
 from sim.scenario.building_tables import run_buildings
 from sim.scenario.ground_tables import (
-    building_rows,
     corners_of,
     first_corner,
     ground_tables,
@@ -233,7 +233,7 @@ def _crossing_legs(scenario: Scenario, k: int) -> Iterator[str]:
     """Describe each straight leg between goals of a UGV that crosses a hazard or a building of the scenario."""
     shapes = {
         "hazard": (hazard_rows(scenario.hazard), corners_of(scenario.hazard)),
-        "building": (building_rows(scenario.building, 0), corners_of(scenario.building)),
+        "building": tables_of(scenario.building),
     }
     kinds = [row.code for row in HAZARDS.values() if row.slows or not row.drivable]
     legs = enumerate(itertools.pairwise(stops(scenario.ugv[k])))

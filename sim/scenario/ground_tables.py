@@ -12,6 +12,7 @@ from bus.messages.ground import Hazard
 from bus.registry import HAZARDS
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray, records
+from sim.models.buildings import tables_of
 from sim.models.ground import (
     CLEAR,
     TileArray,
@@ -66,17 +67,12 @@ def ground_tables(scenario: Scenario) -> GroundTables:
     """Return the tables of a valid scenario."""
     rooms = sum(building_rooms(scenario))
     given = hazard_rows(scenario.hazard)
-    houses = building_rows(scenario.building, first=len(corners_of(scenario.hazard)))
+    corners = corners_of(scenario.hazard)
+    houses, footprints = tables_of(scenario.building, first=len(corners))
     room = rooms + sum(field.count for field in scenario.hazard_field)
     hazards = np.concatenate([given, houses, np.zeros(room, dtype=given.dtype)])
     buildings = range(len(given), len(given) + len(houses) + rooms)
-    corners = np.concatenate(
-        [
-            corners_of(scenario.hazard),
-            corners_of(scenario.building),
-            np.zeros((rooms * BLOCK_CORNERS, 2)),
-        ]
-    )
+    corners = np.concatenate([corners, footprints, np.zeros((rooms * BLOCK_CORNERS, 2))])
     shape = tiles_shape(scenario.area.width, scenario.area.height, scenario.ground.tile)
     tiles = np.full(shape, CLEAR, dtype=np.uint8)
     if scenario.hazard or scenario.building:  # without hazards nothing is compiled for them
@@ -152,7 +148,7 @@ def place_buildings(
         The tables with their `closed` tiles.
     """
     drawn = buildings[len(scenario.building) :]
-    rows, corners = building_rows(drawn, first=first), corners_of(drawn)
+    rows, corners = tables_of(drawn, first=first)
     begin = tables.buildings.start + len(scenario.building)
     tables.hazards[begin : tables.buildings.stop] = 0
     tables.hazards[begin : begin + len(rows)] = rows
@@ -211,9 +207,9 @@ def _routes(scenario: Scenario, rows: int, columns: int) -> IntArray:
     return np.array(list(dict.fromkeys(routes)), dtype=np.int64)
 
 
-def corners_of(shapes: tuple[Hazard, ...] | tuple[Building, ...]) -> FloatArray:
+def corners_of(hazards: tuple[Hazard, ...]) -> FloatArray:
     """Return the corners of all polygons, concatenated [m]. Shape (corners, 2)."""
-    found: list[Vector] = [corner for shape in shapes for corner in shape.corners]
+    found: list[Vector] = [corner for hazard in hazards for corner in hazard.corners]
     return np.array(found, dtype=np.float64).reshape(-1, 2)
 
 
@@ -229,16 +225,3 @@ def _rows(hazards: tuple[Hazard, ...]) -> Iterator[HazardRow]:
         reach = 0.5 * math.dist(*hazard.bounds) if count else radius
         yield HazardRow(kind, hazard.kept_share, *hazard.middle, radius, reach, first, count)
         first += count
-
-
-def building_rows(buildings: tuple[Building, ...], first: int) -> RecordArray:
-    """Return a table of `HazardRow`, one row per building.
-
-    Args:
-        buildings: The buildings.
-        first: Row of their first corner in the table of corners.
-    """
-    blocks = tuple(Hazard(kind="block", polygon=building.polygon) for building in buildings)
-    rows = hazard_rows(blocks)
-    rows["first"] += first
-    return rows

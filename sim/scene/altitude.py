@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages.telemetry import EscortTruth, VehicleTruth
-from sim.models.buildings import building_table
+from sim.models.buildings import tables_of
 from sim.models.camera import range_at, visibility_radius_at
-from sim.models.shadows import Occlusion, hidden_cells
+from sim.models.shadows import all_known, hidden_cells
 from sim.models.sight import is_lost, sight_margin
 from sim.scene.model import Point, Ring, Scene, Space
 
@@ -100,7 +100,7 @@ class HiddenGround:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._tables = building_table([(one.corners, one.height) for one in scene.space.buildings])
+        self._tables = tables_of(scene.space.buildings)
         self._ranges = {ring.around: ring.radius for ring in scene.rings if ring.symbol == "r"}
 
     def cells(
@@ -119,7 +119,7 @@ class HiddenGround:
         for uav, z in altitudes.items():
             (p_x, p_y), reach = places[uav], self._ranges.get(uav, 0.0)
             radius = range_of(self._scene.space, reach, z)
-            dark = hidden_cells(Occlusion(*self._tables, z), p_x, p_y, radius, cell, shape)
+            dark = hidden_cells(all_known(*self._tables, z), p_x, p_y, radius, cell, shape)
             disc = np.hypot((x + 0.5) * cell - p_x, (y + 0.5) * cell - p_y) <= radius
             hidden |= dark
             seen |= disc & ~dark
