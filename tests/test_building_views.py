@@ -14,13 +14,14 @@ from towns import HOUSE, scenario
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 
 from bus.messages.buildings import Building
+from bus.messages.ground import Hazard
 from bus.messages.scenario import Law
 from observed import recorded
 from outrider.recording.reader import Recording, entries, flight_of
 from outrider.recording.refly import refly, restore
 from outrider.view.film import Film
 from sim.models.buildings import building_table, line_of_sight
-from sim.scenario.ground_types import AltitudeLaw
+from sim.scenario.ground_types import AltitudeLaw, HazardField
 from sim.scenario.types import Scenario, Sensor, Uav, Ugv, Visibility
 from sim.scene.altitude import HiddenGround, ring_radius
 from sim.scene.colors import INK, building
@@ -85,6 +86,22 @@ def test_the_circles_shrink_with_the_altitude() -> None:
         expected = {"r": 2.0, "r_v": 2.0 - marker}.get(ring.symbol)
         wanted = ring.radius if expected is None else expected * math.tan(0.785)
         assert low == pytest.approx(wanted)
+
+
+def test_observers_find_the_buildings_among_the_hazards() -> None:
+    turned = Building(polygon=SHED.polygon[::-1], height=2.0)
+    disc = Hazard(kind="block", center=(30.0, 30.0), radius=0.5)
+    random = HazardField(kind="block", count=3, radius=(0.3, 0.6))
+    one = behind_a_house(building=(HOUSE, turned), hazard=(disc,), hazard_field=(random,))
+    world = World(one, 3)
+    ground = ground_map(world)
+    shapes = [{*ground.hazards[k].polygon} for k in ground.building_rows]
+    assert shapes == [{*building.polygon} for building in world.buildings]
+    assert sum(hazard.polygon == () for hazard in ground.hazards) == 4
+    axes = Figure().add_subplot()
+    Map(axes, scene_of(one, world.buildings), hazards=ground)
+    areas = [area.get_paths() for area in axes.collections if len(area.get_paths())]
+    assert sorted(map(len, areas)) == [2, 4]
 
 
 def test_every_building_is_drawn_once_in_its_grey() -> None:

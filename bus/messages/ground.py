@@ -175,3 +175,11 @@ class GroundMap(Message, frozen=True, kw_only=True):
     """Planned path of each UGV, by its corners [m]; no vehicle receives it."""
     hazards: tuple[Hazard, ...] = ()
     """True hazards; in a recording only in the first map of a flight, as they do not move."""
+    first_building: Annotated[int, Meta(ge=0)] = 0
+    end_building: Annotated[int, Meta(ge=0)] = 0
+    """Rows of the buildings among the hazards, end exclusive, in the order of `Geometry.buildings`."""
+
+    @property
+    def building_rows(self) -> range:
+        """Return the rows of the buildings among the hazards."""
+        return range(self.first_building, self.end_building)

@@ -18,7 +18,6 @@ from outrider_ros2.places import Vector3, place_of
 from outrider_ros2.run_view import RunView
 from sim.scene.altitude import altitudes_of, ring_radius, sight_of
 from sim.scene.colors import FAINT, GOOD, HAZARDS, LIMIT, building, rgb
-from sim.scene.footprints import building_hazards
 from sim.scene.prism import prism
 
 _FLAT = 0.02
@@ -211,9 +210,8 @@ def sight(view: RunView, truth: Truth) -> RosMessage:
 def hazards(view: RunView, source: GroundMap) -> RosMessage:
     """Return markers for the true hazards except buildings; hazards unknown to the UGVs are faint."""
     found = []
-    houses = set(building_hazards(view.scene.space.buildings, view.hazards).values())
     for number, (outline, state) in enumerate(zip(view.hazards, source.states, strict=False)):
-        if number in houses and state <= 1:
+        if number in source.building_rows and state <= 1:
             continue
         color = _color(LIMIT if state > 1 else HAZARDS[outline.kind], 1.0 if state else FAINT)
         mark = partial(marker, frame=MAP, name=outline.kind, number=number, color=color)

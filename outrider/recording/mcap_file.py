@@ -157,7 +157,7 @@ class RecordingFile:
             message = msgspec.structs.replace(message, hazards=())
         elif isinstance(message, GroundMap):
             self._hazards_written = True
-            self._viewers.hazards(message.hazards)
+            self._viewers.hazards(message)
         time_ns = self._put(topic, message, seconds)
         if isinstance(message, Truth):
             self._show(message, time_ns)

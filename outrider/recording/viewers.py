@@ -9,13 +9,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bus.messages.buildings import Building
-from bus.messages.ground import Hazard
+from bus.messages.ground import GroundMap, Hazard
 from bus.messages.telemetry import CoverageMap
 from bus.plugins import needs
 from sim.scenario.types import Scenario
 from sim.scene.altitude import ring_radius
 from sim.scene.colors import HAZARDS, building, rgb
-from sim.scene.footprints import building_hazards
 from sim.scene.known import scene_of
 from sim.scene.model import Ring, Scene, SceneVehicle, observed_scene
 from sim.scene.prism import prism
@@ -238,10 +237,9 @@ class Viewers:
         entity = messages.SceneEntity(frame_id="world", id="buildings", triangles=bodies)
         self._houses = messages.SceneUpdate(entities=[entity]).encode()
 
-    def hazards(self, hazards: Sequence[Hazard]) -> None:
-        """Show these hazards from the next scene on."""
-        drawn = set(building_hazards(self._buildings, tuple(hazards)).values())
-        others = [hazard for k, hazard in enumerate(hazards) if k not in drawn]
+    def hazards(self, ground: GroundMap) -> None:
+        """Show the hazards of a map from the next scene on, apart from its buildings."""
+        others = [one for k, one in enumerate(ground.hazards) if k not in ground.building_rows]
         outlines = [_outline(hazard) for hazard in others[:_MOST_HAZARDS]]
         entity = messages.SceneEntity(frame_id="world", id="hazards", lines=outlines)
         self._hazards = messages.SceneUpdate(entities=[entity]).encode()

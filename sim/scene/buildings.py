@@ -16,7 +16,7 @@ from bus.messages.buildings import Building
 from bus.messages.ground import GroundMap
 from sim.scene.altitude import HiddenGround
 from sim.scene.colors import BUILDINGS, FAINT, INK, LIMIT, SHADOW, building, mixed, rgb
-from sim.scene.footprints import building_hazards, label_point
+from sim.scene.footprints import label_point
 from sim.scene.ground_map import HIT, KNOWN, UNKNOWN
 from sim.scene.model import Point, Scene
 
@@ -45,7 +45,6 @@ class DrawnBuildings:
     ) -> None:
         outlines = [Path([*one.corners, one.corners[0]], closed=True) for one in buildings]
         self._greys = [building(one.height, buildings) for one in buildings]
-        self._hazards = {} if hazards is None else building_hazards(buildings, hazards.hazards)
         self._areas = PathCollection(outlines, edgecolors=INK, linewidths=0.8, zorder=2.6)
         axes.add_collection(self._areas, autolim=False)
         self._labels: list[Text] = []
@@ -70,11 +69,12 @@ class DrawnBuildings:
 
     def show(self, hazards: GroundMap | None) -> None:
         """Show the UGVs' knowledge of the buildings; None: unchanged."""
-        states = b"" if hazards is None else hazards.states
+        rows, states = range(0), b""
+        if hazards is not None:
+            rows, states = hazards.building_rows, hazards.states
         colors, faint = [], []
-        for k, grey in enumerate(self._greys):
-            at = self._hazards.get(k)
-            state = KNOWN if at is None or hazards is None else states[at]
+        for n, grey in enumerate(self._greys):
+            state = states[rows[n]] if n < len(rows) else KNOWN
             faint.append(state == UNKNOWN)
             colors.append(
                 to_rgba(LIMIT if state == HIT else grey, FAINT if state == UNKNOWN else 1.0)
@@ -126,8 +126,7 @@ def legend_of_buildings(scene: Scene, hazards: GroundMap | None) -> list[Artist]
     buildings = scene.space.buildings
     if not buildings:
         return []
-    at = {} if hazards is None else building_hazards(buildings, hazards.hazards)
-    faint = hazards is not None and any(hazards.states[k] == UNKNOWN for k in at.values())
+    faint = hazards is not None and any(hazards.states[k] == UNKNOWN for k in hazards.building_rows)
     label = "building, height [m]" + ("; faint: unknown" if faint else "")
     grey = mixed(*BUILDINGS, 0.5)
     keys: list[Artist] = [Patch(facecolor=grey, edgecolor=INK, linewidth=0.8, label=label)]

@@ -23,7 +23,6 @@ from sim.compiling.compile import FloatArray
 from sim.scene.altitude import ring_radius
 from sim.scene.buildings import DrawnBuildings, DrawnShadow, legend_of_buildings
 from sim.scene.colors import COVERED, ESTIMATE, INK, LIMIT, MUTED, RULE, UAV, UGV
-from sim.scene.footprints import building_hazards
 from sim.scene.hazards import DrawnGround, legend_of_ground
 from sim.scene.model import Point, Ring, Scene
 
@@ -171,11 +170,7 @@ class Map:
             interpolation="bilinear",
         )
         self._scene, buildings = scene, scene.space.buildings
-        self._hazards = (
-            None
-            if hazards is None
-            else DrawnGround(axes, hazards, building_hazards(buildings, hazards.hazards).values())
-        )
+        self._hazards = None if hazards is None else DrawnGround(axes, hazards)
         self._buildings = DrawnBuildings(axes, buildings, hazards) if buildings else None
         above = buildings and scene.space.camera is not None
         self._shadow = DrawnShadow(axes, scene) if above else None
@@ -313,7 +308,6 @@ def legend_of(
         keys.append(key(ESTIMATE, "estimate, 2σ", linestyle="", marker="+", markeredgewidth=1.2))
     keys += legend_of_buildings(scene, hazards)
     if hazards is not None:
-        drawn = building_hazards(scene.space.buildings, hazards.hazards).values()
         keys.append(key(UGV[0], "planned route", **_ROUTE))
-        keys += legend_of_ground(hazards, drawn)
+        keys += legend_of_ground(hazards)
     return keys

@@ -1,26 +1,12 @@
-"""Footprints of buildings: their hazards, and places for labels."""
+"""Footprints of buildings: places for labels."""
 
 import numpy as np
 
 from bus.messages.base import Vector
 from bus.messages.buildings import Building
-from bus.messages.ground import Hazard
 
 _SAMPLES, _CENTERING = 9, 0.05
 """Points along each axis that are candidates for a label, and the weight of their distance from the middle."""
-
-
-def _corners(polygon: tuple[Vector, ...]) -> frozenset[Vector]:
-    return frozenset((round(x, 6), round(y, 6)) for x, y in polygon)
-
-
-def building_hazards(
-    buildings: tuple[Building, ...], hazards: tuple[Hazard, ...]
-) -> dict[int, int]:
-    """Return the index of each building's hazard, as buildings are hazards of the UGVs, too; each is drawn once."""
-    places = {_corners(one.polygon): k for k, one in enumerate(hazards) if one.kind == "block"}
-    found = ((n, places.get(_corners(one.corners))) for n, one in enumerate(buildings))
-    return {n: k for n, k in found if k is not None}
 
 
 def label_point(building: Building) -> Vector:

@@ -101,7 +101,7 @@ def ground_map(
         tiles = np.where(tiles == UNSEEN, own, tiles)
     for v in world.escorts[:, 0].tolist():
         tiles[(tiles == UNSEEN) & (ground.known[0, v] != UNSEEN)] = SEEN
-    kinds = ground.hazards[0]["kind"]
+    kinds, buildings = ground.hazards[0]["kind"], _buildings(ground)
     known = np.where(kinds == FOUND, ground.found[0] > 0, (ground.warned[0] > 0).any(axis=0))
     states = np.where(ground.hits[0].any(axis=0), HIT, np.where(known, KNOWN, UNKNOWN))
     places = dict(zip(world.names, world.position.tolist(), strict=True))
@@ -118,4 +118,6 @@ def ground_map(
             if len(route) > 1
         },
         hazards=hazards_of(world) if hazards is None else hazards,
+        first_building=buildings.start,
+        end_building=buildings.start + int((kinds[buildings] > 0).sum()),
     )

@@ -1,6 +1,5 @@
 """Ground with hazards as matplotlib artists: a shade over unknown tiles, and the hazards on it."""
 
-from collections.abc import Collection
 from itertools import product
 from typing import Any
 
@@ -37,12 +36,14 @@ class DrawnGround:
 
     Args:
         axes: Axes to draw on.
-        ground: First map to show, with the hazards.
-        drawn: Indices of the hazards that are drawn otherwise.
+        ground: First map to show, with the hazards; its buildings are left to `DrawnBuildings`.
     """
 
-    def __init__(self, axes: Axes, ground: GroundMap, drawn: Collection[int] = ()) -> None:
-        self._kinds = ["" if k in drawn else hazard.kind for k, hazard in enumerate(ground.hazards)]
+    def __init__(self, axes: Axes, ground: GroundMap) -> None:
+        self._kinds = [
+            "" if k in ground.building_rows else hazard.kind
+            for k, hazard in enumerate(ground.hazards)
+        ]
         self._outlines = [_outline(hazard) for hazard in ground.hazards]
         self._centers = np.array([one.middle for one in ground.hazards]).reshape(-1, 2)
         width, height = ground.columns * ground.tile, ground.rows * ground.tile
@@ -93,18 +94,15 @@ class DrawnGround:
             stars.set_data(shown[:, 0], shown[:, 1])
 
 
-def legend_of_ground(ground: GroundMap, drawn: Collection[int] = ()) -> list[Artist]:
-    """Return the entries of its legend: each kind of hazard present, and the shade.
-
-    Args:
-        ground: The map.
-        drawn: Indices of the hazards that are drawn otherwise.
-    """
-    kinds = {hazard.kind for k, hazard in enumerate(ground.hazards) if k not in drawn}
+def legend_of_ground(ground: GroundMap) -> list[Artist]:
+    """Return the entries of its legend: each kind of hazard present, buildings apart, and the shade."""
+    kinds = {
+        hazard.kind for k, hazard in enumerate(ground.hazards) if k not in ground.building_rows
+    }
     keys: list[Artist] = []
     if "block" in kinds:
         keys.append(Patch(label="blocked, faint: unknown", linewidth=0.8, **_SOLID))
-    if "block" in kinds or drawn:
+    if "block" in kinds or ground.building_rows:
         keys.append(Patch(label="hit", linewidth=0.8, **(_SOLID | {"facecolor": LIMIT})))
     if "rough" in kinds:
         keys.append(Patch(label="rough", linewidth=0.8, **_ROUGH))

@@ -171,6 +171,8 @@ def test_hazards_are_markers_with_fixed_ids_sent_once():
     assert len(polygon.points) == 6
     again = _by_topic(msgspec.structs.replace(ground, hazards=()), view)["/hazards"]
     assert [one.id for one in again.markers] == [0, 1]
+    built = msgspec.structs.replace(ground, first_building=1, end_building=2)  # drawn elsewhere
+    assert [one.id for one in _by_topic(built, view)["/hazards"].markers] == [0]
 
 
 def test_diagnostics_name_why_nothing_is_certified():
