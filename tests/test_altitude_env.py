@@ -189,7 +189,7 @@ def test_environments_brief_uavs_for_the_driver_in_control(
 def test_external_ugv_keeps_only_a_declared_clearance(change: str, kept: float) -> None:
     env = outrider.parallel_env(town(change), safety_filter=True, end_on_sight_lost=False)
     env.reset(seed=1)
-    assert env.briefing("uav_0").building_clearance == kept
+    assert env.briefing("uav_0").guaranteed_clearance == kept
     for _ in range(20):
         *_, infos = env.step({"uav_0": [0.0, 0.0, 0.0], "ugv_0": [0.0, 0.0]})
     assert infos["uav_0"]["certified"] == (kept > 0.0)

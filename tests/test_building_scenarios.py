@@ -38,7 +38,7 @@ def test_shipped_towns_leave_four_metres_of_sight(name: str) -> None:
     """The walls of the courtyard may hide the UGV."""
     briefed = briefing(load_scenario(name), "uav_0", 7)
     z, h_m = briefed.altitude.initial_altitude, briefed.marker_height
-    occlusion = briefed.building_clearance * (z - h_m) / (briefed.max_building_height - h_m)
+    occlusion = briefed.guaranteed_clearance * (z - h_m) / (briefed.max_building_height - h_m)
     seen = min(briefed.visibility_radius, (z - h_m) * math.tan(briefed.camera.half_angle))
     assert seen >= 4.0
     assert (occlusion < 0.5 * seen) if name == "courtyard" else (occlusion >= 4.0)
@@ -190,11 +190,14 @@ def test_altitudes_and_bounds_are_in_the_briefing_of_a_uav() -> None:
         initial_altitude=14.0, min_altitude=12.0, max_altitude=16.0, law="best"
     )
     assert told.camera == Camera() == one.camera
-    assert (told.marker_height, told.building_clearance) == (0.5, 1.5)
+    assert (told.marker_height, told.guaranteed_clearance) == (0.5, 1.5)
     assert told.max_building_height == max_building_height(one) == 5.0
     declared = load_scenario("town", overrides={"certificate.max_building_height": 7.0})
     assert briefing(declared, "uav_0", 1).max_building_height == 7.0
     assert briefing(one, "ugv_0", 1).ground.building_clearance == 1.5
+    unknown = load_scenario("town", overrides=UNKNOWN_MAP)
+    ground = briefing(unknown, "ugv_0", 1).ground
+    assert (ground.building_clearance, ground.tile_clearance) == (1.0, 1.0)
     planar = briefing(load_scenario("minefield"), "uav_0", 1)
     assert (planar.altitude, planar.camera, planar.max_building_height) == (None, None, None)
     assert planar.buildings == ()

@@ -50,7 +50,7 @@ def test_uav_receives_exactly_these_fields() -> None:
         origin latitude longitude altitude
         initial_altitude min_altitude max_altitude max_climb_rate max_vertical_acceleration
         vertical_clearance climb_rate camera half_angle reference_altitude
-        buildings polygon marker_height building_clearance max_building_height
+        buildings polygon marker_height guaranteed_clearance max_building_height
         vehicle dt visibility_radius law name parameters key past more"""
     assert fields_of(TO_UAV) == {*words(known)}
 

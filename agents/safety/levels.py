@@ -56,7 +56,7 @@ def radius_at(briefing: UavBriefing, z: float) -> float:
             math.tan(briefing.camera.half_angle),
             briefing.marker_height,
             briefing.max_building_height or 0.0,
-            briefing.building_clearance,
+            briefing.guaranteed_clearance,
         )
     )
 

@@ -68,7 +68,7 @@ class UgvGround(Message, frozen=True, kw_only=True):
     delay: NonNegative = 0.0
     """Time from the tick that a command answers to its effect [s]."""
     building_clearance: NonNegative = 0.0
-    """Smallest distance from every known building that it declares to keep [m]; 0: none."""
+    """Smallest distance from every building that it declares to keep [m]; 0: none."""
     tile_clearance: NonNegative = 0.0
     """The same from every tile that it does not know to be drivable, where an unknown building may be [m]."""
     only_buildings: bool = False

@@ -130,8 +130,8 @@ class UavBriefing(VehicleBriefing, frozen=True, kw_only=True):
     """Its camera; None: it flies in the plane."""
     marker_height: NonNegative = 0.3
     """Height of the marker of its UGV above the ground [m]."""
-    building_clearance: NonNegative = 0.0
-    """Smallest distance from every building that its UGV declares to keep [m]; 0: none."""
+    guaranteed_clearance: NonNegative = 0.0
+    """Smallest distance from every building that its UGV guarantees to keep under its driver [m]; 0: none."""
     max_building_height: NonNegative | None = None
     """Declared height of the highest building [m]; None: there are no buildings."""
     origin: Origin = Origin()

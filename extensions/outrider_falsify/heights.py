@@ -101,7 +101,7 @@ def _setting(
             max_measurement_age=bounds.max_measurement_age,
         ),
         max_building_height=tallest or None,
-        building_clearance=clearance,
+        guaranteed_clearance=clearance,
         marker_height=marker,
     )
     return scenario, town, brief

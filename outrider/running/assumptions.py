@@ -307,7 +307,7 @@ def _cause(briefing: UavBriefing, lowest: float) -> str:
         return f"; there, the camera sees a UGV within {seen:.2f} m"
     return (
         f"; there, buildings up to {exact(briefing.max_building_height or 0.0)} m high cannot hide a UGV that is "
-        f"within {radius_at(briefing, lowest):.2f} m and at least {exact(briefing.building_clearance)} m from them"
+        f"within {radius_at(briefing, lowest):.2f} m and at least {exact(briefing.guaranteed_clearance)} m from them"
     )
 
 

@@ -212,7 +212,7 @@ def uav_briefing(
         altitude=altitude,
         camera=None if altitude is None else scenario.camera,
         marker_height=escorted.marker_height,
-        building_clearance=guaranteed_clearance(
+        guaranteed_clearance=guaranteed_clearance(
             scenario, escorted, (drivers or {}).get(escorted.name)
         ),
         max_building_height=max_building_height(scenario),
@@ -236,7 +236,7 @@ def ugv_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
             caution=ugv.caution,
             rough_speed_share=scenario.rough_share,
             delay=ugv_delay(scenario, name),
-            building_clearance=ugv.building_clearance if scenario.buildings.known else 0.0,
+            building_clearance=ugv.building_clearance,
             tile_clearance=0.0 if scenario.buildings.known else ugv.building_clearance,
             only_buildings=scenario.only_known_buildings,
             executes_trajectories=ugv_carries(scenario, ugv),

@@ -12,7 +12,7 @@ from sim.input.faults import Fault, unknown_name
 from sim.models.buildings import tables_of
 from sim.models.hazards import BLOCK, hazard_at
 from sim.scenario.building_tables import highest_building, most_buildings
-from sim.scenario.clearance import clearance_fault, least_distance, tile_clearance
+from sim.scenario.clearance import clearance_fault, enlargement, least_distance
 from sim.scenario.polygon_checks import first_contact, polygon_faults
 from sim.scenario.stops import all_stops
 from sim.scenario.types import Scenario, Ugv, altitude_limits
@@ -107,7 +107,7 @@ def building_fields_are_possible(scenario: Scenario) -> Iterator[Fault]:
         if field.street < 2.0 * least * (1.0 - _ROUNDING):
             wrong = "too narrow: its tiles between two buildings may all be closed"
             needed = "2 building_clearance + 3 ground.tile"
-            if tile_clearance(scenario) > 0.0:
+            if enlargement(scenario) > 0.0:
                 needed = "2 building_clearance + 6 ground.tile, as the buildings are unknown"
             allowed = f"{at_least(2.0 * least)} m or more: {needed}"
             yield Fault(f"{path}.street", field.street, wrong, allowed)
@@ -190,7 +190,7 @@ def building_warnings(scenario: Scenario) -> Iterator[str]:
         ugv for ugv in scenario.ugv if ugv.driver == "navigate" and ugv.caution == CAUTIONS[0]
     ]
     needed = max((ugv.building_clearance for ugv in waiting), default=0.0) + 2.0 * tile
-    if tile_clearance(scenario) > 0.0 and waiting and sensing < needed:
+    if enlargement(scenario) > 0.0 and waiting and sensing < needed:
         yield (
             f"ground.sensing_range = {exact(sensing)} m: a UGV may wait forever beside an unknown building, as no UAV "
             f"sees the ground under it; {at_least(needed)} m (building_clearance + 2 ground.tile) lets it sense the "

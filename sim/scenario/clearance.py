@@ -68,12 +68,12 @@ def report_faults(scenario: Scenario, ugv: Ugv) -> Iterator[str]:
         )
 
 
-def tile_clearance(scenario: Scenario) -> float:
+def enlargement(scenario: Scenario) -> float:
     """Return by how much all that blocks is enlarged where UGVs keep a distance from unknown buildings [m].
 
     They keep it from every tile that is not known to be drivable, thus up to a tile's diagonal farther than declared.
     """
-    kept = scenario.building_clearance
+    kept = scenario.max_building_clearance
     if scenario.buildings.known or not scenario.has_buildings or kept == 0.0:
         return 0.0
     return kept + _TILES_TO_STOP * scenario.ground.tile
@@ -81,5 +81,5 @@ def tile_clearance(scenario: Scenario) -> float:
 
 def least_distance(scenario: Scenario) -> float:
     """Return the distance of a building from a point whose tile is outside its clearance, whatever the tile [m]."""
-    enlarged = max(scenario.building_clearance, tile_clearance(scenario))
+    enlarged = max(scenario.max_building_clearance, enlargement(scenario))
     return enlarged + _TILES_TO_STOP * scenario.ground.tile

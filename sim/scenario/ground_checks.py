@@ -147,7 +147,7 @@ def routes_are_open(scenario: Scenario) -> Iterator[Fault]:
     allowed = f"a route of adjacent {exact(tile)} m tiles without hazards"
     on_tile, what = "a blocking hazard touches its tile", "hazards"
     if scenario.building:
-        allowed += f", more than building_clearance = {exact(scenario.building_clearance)} m from buildings"
+        allowed += f", more than building_clearance = {exact(scenario.max_building_clearance)} m from buildings"
         on_tile, what = "a hazard or a building is too near to its tiles", "hazards or buildings"
     start = 0
     for path, (x, y) in all_stops(scenario):

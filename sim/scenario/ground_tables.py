@@ -26,7 +26,7 @@ from sim.models.hazard_fields import HazardFieldRow, place_hazards
 from sim.models.hazards import BLOCK, HazardRow
 from sim.models.randomness import Key
 from sim.scenario.building_tables import building_rooms
-from sim.scenario.clearance import tile_clearance
+from sim.scenario.clearance import enlargement
 from sim.scenario.ground_types import HazardField
 from sim.scenario.stops import stops
 from sim.scenario.types import Scenario
@@ -50,7 +50,7 @@ class GroundTables(NamedTuple):
     """True states with the given hazards and buildings. Shape (rows, columns)."""
     closed: TileArray
     """States with the buildings enlarged by the largest `building_clearance`, and with all that blocks enlarged by
-    `tile_clearance` if the buildings are unknown: routes lead around them. The same array as `tiles` if nothing is
+    `enlargement` if the buildings are unknown: routes lead around them. The same array as `tiles` if nothing is
     enlarged. Shape (rows, columns).
     """
     fields: RecordArray
@@ -117,10 +117,10 @@ def _closed_tiles(
     scenario: Scenario, tables: GroundTables, buildings: tuple[Building, ...]
 ) -> TileArray:
     """Return the tiles with these buildings enlarged by the largest clearance."""
-    kept, tile = tile_clearance(scenario), scenario.ground.tile
-    if kept == 0.0 and (not buildings or scenario.building_clearance == 0.0):
+    kept, tile = enlargement(scenario), scenario.ground.tile
+    if kept == 0.0 and (not buildings or scenario.max_building_clearance == 0.0):
         return tables.tiles
-    closed, reach = tables.tiles.copy(), kept or scenario.building_clearance
+    closed, reach = tables.tiles.copy(), kept or scenario.max_building_clearance
     for building in buildings:
         add_polygon(np.array(building.corners), reach, BLOCK, tile, closed)
     for hazard in scenario.hazard:
@@ -194,7 +194,7 @@ def _field_row(scenario: Scenario, field: HazardField) -> HazardFieldRow:
         largest,
         share=field.kept_share,
         clear=field.clearance,
-        kept=0.0 if HAZARDS[field.kind].drivable else tile_clearance(scenario),
+        kept=0.0 if HAZARDS[field.kind].drivable else enlargement(scenario),
     )
 
 

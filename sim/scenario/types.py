@@ -376,7 +376,7 @@ class Scenario(Table, frozen=True, kw_only=True):
         return self.has_buildings and self.buildings.known and not hazards
 
     @property
-    def building_clearance(self) -> float:
+    def max_building_clearance(self) -> float:
         """Return the largest `building_clearance` of all UGVs [m]."""
         return max(ugv.building_clearance for ugv in self.ugv)
 
