@@ -176,8 +176,9 @@ class GroundMap(Message, frozen=True, kw_only=True):
     hazards: tuple[Hazard, ...] = ()
     """True hazards; in a recording only in the first map of a flight, as they do not move."""
     first_building: Annotated[int, Meta(ge=0)] = 0
+    """Row of the first building among the hazards; the others follow, in the order of `Geometry.buildings`."""
     end_building: Annotated[int, Meta(ge=0)] = 0
-    """Rows of the buildings among the hazards, end exclusive, in the order of `Geometry.buildings`."""
+    """Row after the last building."""
 
     @property
     def building_rows(self) -> range:
