@@ -11,10 +11,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from bus.certificates import Identity
 from bus.credentials import Credential, CredentialSet
 from bus.errors import BusError
 from bus.files import write_whole
+from bus.identities import Identity
 from bus.keys import (
     PLACES,
     SIMULATOR_NAME,

@@ -13,9 +13,9 @@ from typing import Annotated, TypeVar
 import msgspec
 from msgspec import Meta
 
-from bus.certificates import AUTHORITY_DAYS, PARTY_DAYS, ROUTER_HOSTS, Authority, Identity, issue
 from bus.errors import AccessDenied
 from bus.files import read_regular, write_whole
+from bus.identities import AUTHORITY_DAYS, PARTY_DAYS, ROUTER_HOSTS, Authority, Identity
 from bus.keys import STAFF, Party, Role
 from bus.messages.base import Name
 from bus.roles import RESERVED, named_roles, party_of
@@ -133,6 +133,8 @@ def new_certificates(
         AccessDenied: If the authority has expired, or a host is invalid.
         BusError: If the extra [tls] is missing.
     """
+    from bus.certificates import issue  # noqa: PLC0415 - the extra [tls]
+
     made = tuple(
         msgspec.convert(
             {"name": name, "role": role, "tls": issue(authority, name, days=days)}, Credential

@@ -12,9 +12,9 @@ from typing import Any
 import zenoh
 
 from bus.access import client_settings, router_settings
-from bus.certificates import Identity, check_identity, expiry_warning, find_fault
 from bus.credentials import ROUTER_FILE, Credential, CredentialSet
 from bus.errors import AccessDenied, BusError
+from bus.identities import Identity, expiry_warning, find_fault
 from bus.keys import KEYS, Party, check_run_name, largest_payloads, read_by, written_by
 from bus.locator import UNIX, Locator, check_endpoint
 from bus.session import Session
@@ -152,6 +152,8 @@ def _check_protocol(endpoints: tuple[str, ...], *, certified: bool) -> None:
 
 
 def _check_certificate(identity: Identity, name: str) -> None:
+    from bus.certificates import check_identity  # noqa: PLC0415 - the extra [tls]
+
     warning = expiry_warning(name, check_identity(identity, name))
     if warning:
         _LOG.warning("%s", warning)

@@ -8,6 +8,8 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+import zenoh
+
 from bus import plugins
 from bus.errors import AccessDenied, OutriderError, ScenarioError
 from bus.keys import KEYS, PLACES, ROOT, STAFF, Grant, Party, Role, token
@@ -112,8 +114,6 @@ def own_grants(roles: Roles, party: Party) -> tuple[Grant, ...]:
 
 def _check_outside(key: str) -> None:
     """Reject a key under `outrider/`, or one that matches a key or liveliness token of a run."""
-    import zenoh  # noqa: PLC0415 - used only by a router
-
     try:
         expression = zenoh.KeyExpr(key)
         first = zenoh.KeyExpr(key.partition("/")[0])

@@ -15,14 +15,7 @@ pytest.importorskip("cryptography", reason="the extra [tls] is not installed")
 import zenoh
 
 from bus import joining
-from bus.certificates import (
-    Identity,
-    check_identity,
-    expiry_warning,
-    hosts_of,
-    issue,
-    new_authority,
-)
+from bus.certificates import check_identity, hosts_of, issue, new_authority
 from bus.credentials import (
     Credential,
     CredentialSet,
@@ -33,6 +26,7 @@ from bus.credentials import (
     write_credentials,
 )
 from bus.errors import AccessDenied
+from bus.identities import Identity, expiry_warning
 from bus.joining import open_session
 from bus.keys import COMMAND, Role
 from bus.messages.vehicle import UavCommand

@@ -7,8 +7,22 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from msgspec.structs import replace
 
+from bus.credentials import (
+    AUTHORITY_FILE,
+    ROUTER_FILE,
+    new_certificates,
+    new_credentials,
+    read_authority,
+    read_credential,
+    read_credentials,
+    replace_credentials,
+    write_credentials,
+)
 from bus.errors import AccessDenied, ScenarioError
+from bus.identities import AUTHORITY_DAYS, PARTY_DAYS, ROUTER_HOSTS, Identity, expiry_warning
+from outrider.cli.console import OUT, print_json
 from outrider.cli.options import DEFAULT_RUN, Json, RunName
 
 Folder = Annotated[Path, typer.Argument(help="Folder for the files; created if missing.")]
@@ -96,8 +110,6 @@ def command(
 
     Example: outrider credentials credentials --scenario escort --run flight
     """
-    from outrider.cli.console import OUT, print_json
-
     added = [name for name in extensions or () if name]  # `--roles=` of a container adds none
     _check_options(
         {
@@ -138,9 +150,7 @@ def _make(
     days: float | None,
 ) -> dict[str, Path]:
     """Write new credentials of all parties: certificates if the router's hosts are given, otherwise passwords."""
-    from bus.certificates import PARTY_DAYS, new_authority
-    from bus.credentials import new_certificates, new_credentials, write_credentials
-    from sim.scenario.loading import load_scenario
+    from sim.scenario.loading import load_scenario  # noqa: PLC0415 - the compiler
 
     flown = load_scenario(scenario)
     names = ([uav.name for uav in flown.uav], [ugv.name for ugv in flown.ugv])
@@ -148,6 +158,8 @@ def _make(
         return write_credentials(
             new_credentials(run, *names, extensions=extensions), folder, None, owner
         )
+    from bus.certificates import new_authority  # noqa: PLC0415 - the extra [tls]
+
     authority = new_authority(run)
     given = new_certificates(
         authority, *names, hosts=hosts, days=days or PARTY_DAYS, extensions=extensions
@@ -180,17 +192,7 @@ def _renew(
     owner: tuple[int, int] | None,
 ) -> tuple[str, dict[str, Path]]:
     """Replace the certificates of some parties by new ones; return the run's name and the files."""
-    from msgspec.structs import replace
-
-    from bus.certificates import AUTHORITY_DAYS, PARTY_DAYS, ROUTER_HOSTS, hosts_of, issue
-    from bus.credentials import (
-        AUTHORITY_FILE,
-        ROUTER_FILE,
-        read_authority,
-        read_credential,
-        read_credentials,
-        replace_credentials,
-    )
+    from bus.certificates import hosts_of, issue  # noqa: PLC0415 - the extra [tls]
 
     authority = read_authority(folder / f"{AUTHORITY_FILE}.json")
     router = read_credentials(folder / f"{ROUTER_FILE}.json")
@@ -218,10 +220,6 @@ def _renew(
 
 def _check(folder: Path, *, json: bool) -> int:
     """Print for each file in a folder if it is valid, and until when; return the exit code."""
-    from bus.certificates import Identity, check_identity, expiry_warning
-    from bus.credentials import ROUTER_FILE, read_credential, read_credentials
-    from outrider.cli.console import OUT, print_json
-
     if not folder.is_dir():
         raise AccessDenied(f"{folder}: folder not found")
     files: list[dict[str, object]] = []
@@ -244,6 +242,8 @@ def _check(folder: Path, *, json: bool) -> int:
             if identity is None:
                 row["note"] = "a password, which does not expire"
                 continue
+            from bus.certificates import check_identity  # noqa: PLC0415 - the extra [tls]
+
             end = check_identity(identity, name)
             row |= {
                 "ends": end.isoformat(),
