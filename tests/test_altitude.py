@@ -14,7 +14,8 @@ from bus.messages.decision import NotCertified
 from bus.messages.telemetry import EscortTruth, Status
 from bus.messages.vehicle import Detection, Teleoperation, UavObservation
 from flights import altered
-from outrider.cli.console import OUT, print_summary
+from outrider.cli.console import OUT
+from outrider.cli.summary_table import print_summary
 from outrider.running.assumptions import assumption_warnings, certified_from, how_certifiable
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import summarize

@@ -16,7 +16,8 @@ from bus.messages.decision import FilterDecision, NotCertified, Source
 from bus.messages.scenario import Law
 from bus.messages.vehicle import UavCommand, UavObservation, UavReport
 from flights import R_V, Piloted, altered, escort
-from outrider.cli.console import OUT, print_summary
+from outrider.cli.console import OUT
+from outrider.cli.summary_table import print_summary
 from outrider.experiments.sweep.columns import row_of
 from outrider.running.flying import make_pilots
 from outrider.running.summary import Summary, summarize

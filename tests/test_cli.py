@@ -52,6 +52,36 @@ def test_every_help_has_an_example_and_fits_80_columns(name, command, monkeypatc
     assert "<bool>" not in help_text
 
 
+HELP = """
+import sys
+commands, sys.argv = sys.argv[1:], ["outrider"]
+from outrider.cli.main import run_command_line
+
+for words in commands:
+    sys.argv = ["outrider", *words.split(), "--help"]
+    assert run_command_line() == 0
+sys.exit(" ".join(sys.modules))
+"""
+"""Prints the help of commands, and then the modules that it has loaded."""
+SLOW = {"numba", "scipy", "matplotlib"}
+
+
+@pytest.mark.parametrize(
+    ("commands", "forbidden"),
+    [
+        ([""], {*SLOW, "numpy", "zenoh", "rich.console"}),
+        (["run", "replay", "render", "report", "credentials", "drive", "doctor"], SLOW),
+        (sorted(EXTENSIONS), {*SLOW, *LIBRARIES.values()}),
+    ],
+)
+def test_help_waits_for_no_compiler_and_no_optional_library(commands, forbidden) -> None:
+    for name in commands:
+        needs(name)
+    done = python(HELP, *commands, check=False)
+    assert "Usage: outrider" in done.stdout
+    assert not forbidden & set(done.stderr.split())
+
+
 BAD = rows(r"""
 unknown command | fly | No such command
 unknown option | run --fast | No such option
@@ -188,9 +218,9 @@ def test_a_missing_extra_is_one_line_that_says_what_to_install(
 
     monkeypatch.setattr(plugins, "version_of", version)
     monkeypatch.setitem(sys.modules, module, None)
-    mavlink = ("outrider_mavlink.dialect", "outrider_mavlink.udp")
-    for ours in (*mavlink, *(f"outrider.recording.{name}" for name in ("mcap_file", "reader"))):
-        monkeypatch.delitem(sys.modules, ours, raising=False)  # other tests may have loaded it
+    importers = ("outrider_mavlink.", "outrider_ros2.", "outrider.cli.work.", "outrider.recording.")
+    for ours in [name for name in sys.modules if name.startswith(importers)]:
+        monkeypatch.delitem(sys.modules, ours)  # other tests may have loaded it
     run = command(*words(arguments))
     assert run.returncode == 2
     (line,) = run.stderr.splitlines()
@@ -302,7 +332,7 @@ def test_a_password_may_come_from_the_environment(here, command, monkeypatch):
     from bus.credentials import read_credential
     from bus.errors import ScenarioError
     from bus.keys import Role
-    from outrider.cli.options import credential_of
+    from outrider.cli.joining import credential_of
 
     made = command("credentials", "mine", "--json")
     known = read_credential(here / json.loads(made.stdout)["files"]["uav_0"])

@@ -157,8 +157,11 @@ PROGRAMS = (
         "outrider.running.user_code, outrider.running.parent",
         REFUSES_FUNCTIONS,
     ),
-    ("agents.uav, outrider_mavlink.command, outrider_mavlink.offboard", set()),
-    ("outrider_ros2.command, outrider_ros2.ros_pilot", OF_MESSAGES),
+    (
+        "agents.uav, outrider_mavlink.command, outrider_mavlink.opening, outrider_mavlink.flying",
+        REFUSES_FUNCTIONS,
+    ),
+    ("outrider_ros2.command, outrider_ros2.flying", OF_MESSAGES | REFUSES_FUNCTIONS),
     ("agents.ugv, outrider.cli.pilots, outrider_fmi.driver, outrider_fmi.slave", REFUSES_FUNCTIONS),
 )
 """Modules of the programs on board: our pilots, setpoints of MAVLink, a node of ROS 2, a unit of FMI."""

@@ -19,7 +19,7 @@ pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 from bus.keys import GROUND, Role
 from bus.messages.ground import GroundMap, Hazard
 from observed import recorded
-from outrider.cli import console
+from outrider.cli.summary_table import print_summary
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.experiments.report.document import COLUMNS, columns_of, mission_cells
@@ -183,7 +183,7 @@ def test_summary_states_the_mission_in_plain_words(flown, capsys) -> None:
     mission = flight.world.mission
     assert summary.mission == mission
     assert mission.arrived
-    console.print_summary(summary, [])
+    print_summary(summary, [])
     table = capsys.readouterr().out
     for words in (f"{mission.mission_time:.1f} s", "hazards hit", "objects found"):
         assert words in table
@@ -195,7 +195,7 @@ def test_mission_is_not_reported_without_hazards(tmp_path: Path, capsys: Any) ->
     assert summary.mission is None
     assert ground_map(flight.world) is None
     assert not [one for one in entries(tmp_path / "run.mcap") if one.topic == TOPIC.name]
-    console.print_summary(summary, [])
+    print_summary(summary, [])
     assert "hazard" not in capsys.readouterr().out
 
 

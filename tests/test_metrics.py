@@ -9,7 +9,7 @@ import pytest
 
 from bus.messages.links import LinkStatus
 from bus.messages.telemetry import MissionResult, VehicleStatus
-from outrider.cli import console
+from outrider.cli.summary_table import print_summary
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.experiments.sweep.columns import RESULTS, row_of
@@ -82,13 +82,13 @@ def test_the_summary_has_each_uav_and_the_total_of_all(pairs: Summary) -> None:
 
 
 def test_the_console_has_a_row_for_each_of_several_uavs(pairs: Summary, capsys: Any) -> None:
-    console.print_summary(pairs, [])
+    print_summary(pairs, [])
     lines = capsys.readouterr().out.splitlines()
     for name, of_uav in pairs.uavs.items():
         (row,) = (line.split() for line in lines if line.startswith(name))
         assert row[1] == UAV["max_distance"].number(of_uav.max_distance or 0.0)
     alone = msgspec.structs.replace(pairs, uavs={"uav_0": pairs.uavs["uav_0"]})
-    console.print_summary(alone, [])
+    print_summary(alone, [])
     assert "\nuav_0" not in capsys.readouterr().out
 
 

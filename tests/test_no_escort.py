@@ -14,7 +14,7 @@ import outrider
 from bus.errors import ScenarioError
 from flights import record, sha256
 from observed import recorded
-from outrider.cli import console
+from outrider.cli.summary_table import print_summary
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.env_pilots import pilots
 from outrider.experiments.sweep.columns import row_of
@@ -85,7 +85,7 @@ def test_the_summary_says_nothing_of_an_escort(flown, capsys) -> None:
     assert {name: fields[name] for name in escort} == dict.fromkeys(escort)
     assert fields["visibility_violations"] == fields["crossings"] == fields["detections"] == 0
     assert fields["mission"]["hazards_hit"] == 0
-    console.print_summary(summary, [])
+    print_summary(summary, [])
     table = capsys.readouterr().out
     assert "no UAV" in table
     assert "hazards hit" in table

@@ -20,7 +20,7 @@ from bus.keys import KEYS
 from bus.messages.control import Action, Control
 from fields import fields_within
 from flights import degraded, record
-from outrider.cli.options import secret_of
+from outrider.cli.run_secret import secret_of
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.envs.vector import OutriderVectorEnv

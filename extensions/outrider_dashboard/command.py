@@ -1,10 +1,8 @@
 """`outrider dashboard`: live web page of a run."""
 
 import os
-import socket
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -12,6 +10,9 @@ from bus.keys import OPERATOR_NAME, Party, Role
 from bus.locator import check_endpoint
 from bus.plugins import require
 from outrider.cli import options
+from outrider.cli.joining import Joining, staff_of
+from outrider.running.parent import read_start
+from outrider_dashboard.address import Access, choose_token, open_socket, trusted_proxies
 
 _Port = Annotated[
     int,
@@ -53,11 +54,6 @@ _Proxy = Annotated[
         show_default=False,
     ),
 ]
-
-if TYPE_CHECKING:
-    from outrider.recording.reader import Recording
-    from outrider.running.parent import Start
-    from outrider_dashboard.address import Access
 
 _NICE = 5
 """Lower priority than the run on a busy machine."""
@@ -101,79 +97,23 @@ def command(
 
     Example: outrider dashboard --connect tcp/127.0.0.1:17447 --credentials credentials/operator.json
     """
-    from outrider.running.parent import read_start
-    from outrider_dashboard.address import Access, choose_token, open_socket, trusted_proxies
-
     start = read_start() if child else None
     check_endpoint(connect)
     access = Access(choose_token(host, token, wanted=not no_token), trusted_proxies(proxy))
     require("dashboard")
     if replay is not None:
-        from outrider.recording.reader import flight_of
+        from outrider_dashboard.playback import show_recording  # noqa: PLC0415 - two extras
 
-        _show_recording(flight_of(replay, flight), realtime, host, port, access)
+        show_recording(replay, flight, realtime, host, port, access)
         return
     party, credential = (
         (Party(role=Role.OPERATOR, name=OPERATOR_NAME), start.credential)
         if start is not None
-        else options.staff_of(credentials, Role.OPERATOR)
+        else staff_of(credentials, Role.OPERATOR)
     )
     os.nice(_NICE)
     with open_socket(host, port) as opened:
-        joining = options.Joining(party, connect, run, credential, 10.0)
-        _show_run(joining, opened, access, start)
+        from outrider_dashboard.serving import show_run  # noqa: PLC0415 - the extra [dashboard]
 
-
-def _show_run(
-    joining: options.Joining, opened: socket.socket, access: "Access", start: "Start | None"
-) -> None:
-    """Serve the page of a run; as a child process, report on standard output when it is ready and over."""
-    from outrider.cli.console import ERR
-    from outrider_dashboard.address import address_of
-    from outrider_dashboard.app import serve
-    from outrider_dashboard.controls.run_card import Controls
-    from outrider_dashboard.hub import Hub
-    from outrider_dashboard.sources.live import LiveRun
-
-    line = f"dashboard of the run: {address_of(opened, access.token)}"
-
-    def report(text: str) -> None:
-        if start is None:
-            ERR.tell(text)
-        else:
-            sys.stdout.write(text + "\n")
-            sys.stdout.flush()
-
-    def on_end() -> None:
-        if start is not None:
-            report("over")
-
-    with joining.session() as session:
-        hub = Hub(LiveRun(session), start.law if start is not None else None, on_end)
-        controls = (lambda: Controls(hub).show) if hub.source.may_steer else None
-        serve(hub, opened, access, controls=controls, ready=lambda: report(line))
-
-
-def _show_recording(
-    recording: "Recording", speed: float, host: str, port: int, access: "Access"
-) -> None:
-    from outrider.cli.console import ERR
-    from outrider_dashboard.address import address_of, open_socket
-    from outrider_dashboard.app import serve
-    from outrider_dashboard.controls.player import Player
-    from outrider_dashboard.hub import Hub
-    from outrider_dashboard.sources.recorded import RecordedRun
-
-    with open_socket(host, port) as opened:
-        recorded = RecordedRun(recording, speed)
-        hub = Hub(recorded)
-        line = (
-            f"dashboard of {recording.path}: {address_of(opened, access.token)} (stop with Ctrl-C)"
-        )
-        serve(
-            hub,
-            opened,
-            access,
-            controls=lambda: Player(hub, recorded).show,
-            ready=lambda: ERR.tell(line),
-        )
+        joining = Joining(party, connect, run, credential, 10.0)
+        show_run(joining, opened, access, start)

@@ -8,6 +8,7 @@ import typer
 from bus.errors import ScenarioError
 from bus.keys import Role
 from outrider.cli import options
+from outrider.cli.console import ERR, OUT, print_json
 
 app = typer.Typer(invoke_without_command=True, add_completion=False, rich_markup_mode=None)
 
@@ -58,9 +59,8 @@ def export(
 
     Example: outrider fmu export world escort --seed 3 --out world.fmu
     """
-    from outrider.cli.console import ERR, OUT, print_json
-    from outrider.running.resolve import resolve
-    from outrider_fmi.export import export_vehicle, export_world
+    from outrider.running.resolve import resolve  # noqa: PLC0415 - the compiler
+    from outrider_fmi.export import export_vehicle, export_world  # noqa: PLC0415 - the compiler
 
     flown, _ = resolve(
         scenario,

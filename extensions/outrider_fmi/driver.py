@@ -104,8 +104,8 @@ class FmuPolicy:
         if not Path(path).is_file():
             raise ScenarioError(f"{where}: no such file: {path or 'no file given'}")
         with needs("fmi", where):
-            import fmpy  # noqa: PLC0415
-            from fmpy.fmi3 import FMU3Slave  # noqa: PLC0415
+            import fmpy  # noqa: PLC0415 - optional
+            from fmpy.fmi3 import FMU3Slave  # noqa: PLC0415 - optional
         self._where = where
         self._folder = tempfile.mkdtemp(prefix="outrider-fmu-")
         weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)

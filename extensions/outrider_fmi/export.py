@@ -60,7 +60,7 @@ def _build(files: dict[str, bytes], out: Path) -> None:
     if out.suffix != ".fmu":
         raise ScenarioError(f"--out {out}: not a unit's name; allowed: FILE.fmu")
     with needs("fmi"):
-        from pythonfmu3 import FmuBuilder  # noqa: PLC0415
+        from pythonfmu3 import FmuBuilder  # noqa: PLC0415 - optional
     with tempfile.TemporaryDirectory(prefix="outrider-fmu-") as name:
         folder = Path(name)
         script = folder / "outrider_unit.py"

@@ -1,18 +1,12 @@
 """`outrider network`: recorded links, and bounds that links satisfy."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-import msgspec
 import typer
 
-from bus.errors import ScenarioError
-from bus.numbers import exact
 from outrider.cli import options
 from outrider.cli.options import Json
-
-if TYPE_CHECKING:
-    from outrider_networks.fitting import Fit
 
 app = typer.Typer(invoke_without_command=True, add_completion=False, rich_markup_mode=None)
 
@@ -55,26 +49,9 @@ def fit(
 
     Example: outrider network fit drive.csv --out fit.png
     """
-    from outrider.cli.console import ERR, OUT, print_json
-    from outrider_networks.fitting import fit_link
-    from sim.input.faults import one_line
-    from sim.scenario.recordings import read_link
+    from outrider_networks.work import print_fit  # noqa: PLC0415 - the compiler
 
-    if out is not None and out.suffix.lower() != ".png":
-        raise ScenarioError(f"--out {out}: not a PNG file; allowed: FILE.png")
-    recorded = msgspec.structs.replace(read_link(str(file), one_line(str(file))), name=file.name)
-    with ERR.status("fitting"):
-        found, samples = fit_link(recorded, rate=rate, message_bytes=message_bytes)
-    if out is not None:
-        from outrider_networks.picture import draw_fit
-
-        draw_fit(found, samples, out)
-    if json:
-        print_json(found)
-        return
-    _print(found)
-    if out is not None:
-        OUT.tell(str(out))
+    print_fit(file, out, rate=rate, message_bytes=message_bytes, json=json)
 
 
 @app.command()
@@ -93,23 +70,9 @@ def chances(
 
     Example: outrider network chances escort --network jammed --set certificate.max_measurement_age=5
     """
-    from outrider.cli.console import OUT, print_json, print_table
-    from outrider.running.resolve import resolve
-    from outrider_networks.scenario_bounds import exceedance, in_runs
+    from outrider_networks.work import print_chances  # noqa: PLC0415 - the compiler
 
-    loaded, _ = resolve(scenario, changes=changes, duration=duration, law=law, network=network)
-    found = exceedance(loaded)
-    if json:
-        print_json(found)
-        return
-    rows = [
-        (name, "unknown" if value is None else in_runs(value))
-        for name, value in found.exceedance_probability.items()
-    ]
-    print_table(("bound", "exceeded"), rows, title=f"{found.scenario}: declared bounds")
-    lost = found.loss_probability
-    kept = "is not guaranteed" if lost is None else f"is lost {in_runs(lost)}"
-    OUT.tell(f"\ncertified visibility {kept}")
+    print_chances(scenario, changes=changes, duration=duration, law=law, network=network, json=json)
 
 
 @app.command()
@@ -131,35 +94,14 @@ def bounds(
 
     Example: outrider network bounds escort --risk 1e-3
     """
-    from outrider.cli.console import OUT, print_json
-    from outrider.running.resolve import resolve
-    from outrider_networks.scenario_bounds import bounds_for
+    from outrider_networks.work import print_bounds  # noqa: PLC0415 - the compiler
 
-    if not 0.0 < risk < 1.0:
-        raise ScenarioError(f"--risk {exact(risk)}: out of range; allowed: above 0 and below 1")
-    loaded, _ = resolve(scenario, changes=changes, duration=duration, law=law, network=network)
-    found = bounds_for(loaded, risk)
-    if json:
-        print_json(found)
-        return
-    for field, value in found.set.items():
-        OUT.tell(f"--set {field}={value!r}")
-
-
-def _print(found: "Fit") -> None:
-    from rich.text import Text
-
-    from outrider.cli.console import OUT, print_table, print_warnings
-
-    delays = ", ".join(f"{name} {1000.0 * value:.3g} ms" for name, value in found.delay.items())
-    OUT.tell(
-        f"{found.file}: {found.messages:,} messages, one every {found.interval:g} s\n"
-        f"delay: {delays}\n"
-        f"lost: {100.0 * found.lost:.3g} %, at most {found.longest_burst:g} s in a row\n"
+    print_bounds(
+        scenario,
+        risk,
+        changes=changes,
+        duration=duration,
+        law=law,
+        network=network,
+        json=json,
     )
-    fitted = Text("fitted", style="bold"), Text(f"{found.factor:.2f}", style="bold")
-    profiles = [(f"profile {name}", f"{factor:.2f}") for name, factor in found.profiles.items()]
-    title = "Time until a message or a later one arrives: mean ratio, 1 is a perfect fit"
-    print_table(("link", "factor"), [fitted, *profiles], title=title, right=("factor",))
-    OUT.tell(f"\n{found.toml}")
-    print_warnings(found.notes)

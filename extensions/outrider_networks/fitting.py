@@ -12,6 +12,8 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit
 
 from bus.messages.links import LinkSettings
 from bus.numbers import above, below
@@ -220,8 +222,6 @@ def _settings(sample: Sample, outages: FloatArray) -> LinkSettings:
 
 def _delay(arrived: FloatArray) -> dict[str, Any]:
     """Return delay, jitter, jitter shape and its limit."""
-    from scipy.optimize import minimize  # noqa: PLC0415 - slow to load
-
     least, most = float(arrived[0]), float(arrived[-1])
     if most - least < _STEADY:
         return {"delay": float(np.median(arrived))}
@@ -330,8 +330,6 @@ def _log_likelihood(
 
 def _chain(x: FloatArray, free_loss: bool, free_burst: bool) -> tuple[float, float, float, float]:
     """Return share of the bad state, memory, loss and loss in bursts from log-odds x; fixed ones are 0 or 1."""
-    from scipy.special import expit  # noqa: PLC0415 - slow to load
-
     bad, memory, loss, burst = expit(x).tolist()
     return bad, memory, loss if free_loss else 0.0, burst if free_burst else 1.0
 
@@ -343,8 +341,6 @@ def _unlikely(x: FloatArray, gone: FloatArray, free_loss: bool, free_burst: bool
 
 def _loss(sample: Sample) -> dict[str, float]:
     """Return loss and bursts; each parameter only if it improves the fit."""
-    from scipy.optimize import minimize  # noqa: PLC0415 - slow to load
-
     gone = np.isnan(sample.delay).astype(np.float64)
     share, n = float(gone.mean()), len(gone)
     if share in (0.0, 1.0):

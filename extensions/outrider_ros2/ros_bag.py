@@ -19,6 +19,7 @@ import msgspec
 from bus.errors import ScenarioError
 from bus.messages.base import Message
 from bus.messages.telemetry import Geometry, Status
+from bus.plugins import needs
 from outrider.recording.reader import Recording, decoded, entries
 from outrider.recording.schemas import (
     CHANGES,
@@ -36,13 +37,18 @@ from outrider.recording.schemas import (
     ugv_of,
 )
 from outrider_ros2.bag_records import RECORDS, RECORDS_TYPE, BagRecord
-from outrider_ros2.interfaces import encode, make, require_extra, type_hash, type_store
+from outrider_ros2.interfaces import encode, make, type_hash, type_store
 from outrider_ros2.run_view import RunView, view_of
 from outrider_ros2.topics import TOPICS, TopicRow, messages_of
 from outrider_ros2.wire import Qos
 from sim.engine.briefing import all_buildings
 from sim.scenario.types import Scenario
 from sim.scene.known import geometry_of
+
+with needs("ros2"):
+    from rosbags import interfaces as ros_interfaces
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, Writer
+    from rosbags.rosbag2 import StoragePlugin as Storage
 
 RECORDS_QOS = Qos(depth=1000)
 """Quality of service of the records; deep enough to lose none when a bag is played and recorded again."""
@@ -58,10 +64,9 @@ def check_target(folder: Path) -> None:
     """Check that a bag can be written.
 
     Raises:
-        ScenarioError: If the folder exists already, or the extra is missing.
+        ScenarioError: If the folder exists already.
         OSError: If the parent folder does not exist.
     """
-    require_extra()
     if folder.exists() or folder.is_symlink():
         raise ScenarioError(f"{folder}: exists already; allowed: the name of a new folder")
     if not folder.absolute().parent.is_dir():
@@ -70,18 +75,16 @@ def check_target(folder: Path) -> None:
 
 def _offered(qos: Qos) -> Any:  # noqa: ANN401 - rosbags' type
     """Return a quality of service for a bag; unspecified durations are infinite."""
-    from rosbags import interfaces  # noqa: PLC0415 - an extra
-
-    durability, reliability = interfaces.QosDurability, interfaces.QosReliability
-    never = interfaces.QosTime(9223372036, 854775807)
-    return interfaces.Qos(
-        interfaces.QosHistory.KEEP_LAST,
+    durability, reliability = ros_interfaces.QosDurability, ros_interfaces.QosReliability
+    never = ros_interfaces.QosTime(9223372036, 854775807)
+    return ros_interfaces.Qos(
+        ros_interfaces.QosHistory.KEEP_LAST,
         qos.depth,
         reliability.RELIABLE if qos.reliable else reliability.BEST_EFFORT,
         durability.TRANSIENT_LOCAL if qos.transient_local else durability.VOLATILE,
         never,
         never,
-        interfaces.QosLiveliness.AUTOMATIC,
+        ros_interfaces.QosLiveliness.AUTOMATIC,
         never,
         avoid_ros_namespace_conventions=False,
     )
@@ -96,15 +99,12 @@ class RosBag:
         folder: Folder to create.
 
     Raises:
-        ScenarioError: If the folder exists already, or the extra is missing.
+        ScenarioError: If the folder exists already.
         OSError: If the folder cannot be written.
     """
 
     def __init__(self, folder: Path) -> None:
         check_target(folder)
-        from rosbags.rosbag2 import CompressionFormat, CompressionMode, Writer  # noqa: PLC0415
-        from rosbags.rosbag2 import StoragePlugin as Storage  # noqa: PLC0415
-
         self.folder = folder
         place = folder.absolute()
         self._hidden = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=place.parent))

@@ -15,7 +15,8 @@ import zenoh.ext
 
 from bus.errors import BusError
 from bus.session import Session
-from outrider_ros2.wire import RELIABLE, Attachment, Endpoint, Node, Qos, WireTopic, gid_of
+from outrider_ros2.interfaces import gid_of
+from outrider_ros2.wire import RELIABLE, Attachment, Endpoint, Node, Qos, WireTopic
 
 _LOG = logging.getLogger("outrider.ros2")
 log_refused = partial(_LOG.warning, "rejected %s (%d so far)")

@@ -138,14 +138,6 @@ class Attachment:
         return cls(sequence=sequence, time=source_time, gid=gid)
 
 
-def gid_of(token: str) -> bytes:
-    """Return the identity of an endpoint: XXH3-128 of its token, low 64 bits first."""
-    import xxhash  # noqa: PLC0415 - of the extra
-
-    both = xxhash.xxh3_128_intdigest(token.encode())
-    return (both & (2**64 - 1)).to_bytes(8, "little") + (both >> 64).to_bytes(8, "little")
-
-
 def mangled(name: str) -> str:
     """Return a name as one part of a token; an empty name becomes `%`."""
     return name.replace("/", "%") or "%"

@@ -11,8 +11,10 @@ from outrider.running.assumptions import (
     certified_from,
     how_certifiable,
 )
+from outrider.running.first_tick import check_first_tick
 from outrider.running.resolve import resolve
 from outrider.running.user_code import check_own_functions, foreign_code
+from sim.engine.briefing import uav_briefing
 from sim.scenario.checks import scenario_warnings
 from sim.scenario.types import NO_UAV
 
@@ -41,9 +43,6 @@ def command(
 
     Example: outrider check my-scenario.toml --network wifi-poor
     """
-    from outrider.running.first_tick import check_first_tick
-    from sim.engine.briefing import uav_briefing
-
     scenario, named = resolve(
         file,
         seed=seed,

@@ -1,14 +1,22 @@
 """`outrider doctor`: check of this machine's software and hardware."""
 
+import platform
+import resource
 import socket
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from importlib.metadata import PackageNotFoundError, version
+from shutil import which
 from typing import Literal, NamedTuple
 
 import typer
+from rich.text import Text
 
 from bus.plugins import extras, install_command, missing, packages
+from outrider.cli.console import print_json, print_table
 from outrider.cli.options import Json
+from sim.compiling.threads import cores
 
 State = Literal["ok", "missing", "wrong"]
 
@@ -26,16 +34,12 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "firefox", "microso
 
 
 def _python() -> Iterator[Finding]:
-    import platform
-
     version = platform.python_version()
     good = sys.version_info >= (3, 11)
     yield Finding("Python", "ok" if good else "wrong", f"{version}; Outrider needs 3.11 or newer")
 
 
 def _packages() -> Iterator[Finding]:
-    from importlib.metadata import PackageNotFoundError, version
-
     names = ("outrider", "eclipse-zenoh", "numpy", "numba", "filterpy", "pettingzoo")
     found, lacking = [], []
     for name in names:
@@ -50,7 +54,7 @@ def _packages() -> Iterator[Finding]:
 
 
 def _cache() -> Iterator[Finding]:
-    from sim.compiling.compile import compile_cache
+    from sim.compiling.compile import compile_cache  # noqa: PLC0415 - numba, which may be missing
 
     folder, fault = compile_cache()
     if folder is None:
@@ -86,8 +90,6 @@ def _ports() -> Iterator[Finding]:
 
 
 def _docker() -> Iterator[Finding]:
-    import subprocess
-
     def ask(*words: str) -> str | None:
         try:
             done = subprocess.run(
@@ -111,8 +113,6 @@ def _docker() -> Iterator[Finding]:
 
 
 def _browser() -> Iterator[Finding]:
-    from shutil import which
-
     found = next((name for name in BROWSERS if which(name)), None)
     if found:
         yield Finding("browser", "ok", found)
@@ -123,10 +123,6 @@ def _browser() -> Iterator[Finding]:
 
 
 def _machine() -> Iterator[Finding]:
-    import resource
-
-    from sim.compiling.threads import cores
-
     count = cores()
     details = f"{count} for this process" + ("; three processes share it" if count == 1 else "")
     yield Finding("cores", "ok", details)
@@ -158,10 +154,6 @@ def command(
 
     Example: outrider doctor
     """
-    from rich.text import Text
-
-    from outrider.cli.console import print_json, print_table
-
     findings = [finding for check in CHECKS for finding in check()]
     if json:
         print_json({"findings": [finding._asdict() for finding in findings]})

@@ -22,7 +22,7 @@ def command(
 
     Example: outrider figures --out figures
     """
-    from outrider.experiments.paper_figures import make_figures
+    from outrider.experiments.paper_figures import make_figures  # noqa: PLC0415 - matplotlib
 
     with share_progress("drawing") as show:
         claims = make_figures(out, on_progress=show)

@@ -10,7 +10,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable
-from importlib import import_module
+from importlib import import_module, metadata
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -77,9 +77,7 @@ _MORE = "--debug shows the full traceback"
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
-
-        print_text(f"outrider {version('outrider')}\n")
+        print_text(f"outrider {metadata.version('outrider')}\n")
         raise typer.Exit
 
 
@@ -220,7 +218,7 @@ def _cache_fault(error: BaseException) -> str:
     """Describe a failure to read or write the compile cache; empty if the error is another one."""
     if "sim.compiling.compile" not in sys.modules:  # nothing was compiled
         return ""
-    from sim.compiling.compile import cache_fault
+    from sim.compiling.compile import cache_fault  # noqa: PLC0415 - loaded already
 
     return cache_fault(error)
 

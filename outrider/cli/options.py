@@ -1,15 +1,12 @@
-"""Options shared by several commands, and credentials and sessions made from them."""
+"""Options shared by several commands."""
 
-import os
-from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import Annotated
 
-import msgspec
 import typer
 
-from bus.errors import AccessDenied, ScenarioError
-from bus.keys import OPERATOR_NAME, Party, Role, check_run_name
+from bus.errors import ScenarioError
+from bus.keys import check_run_name
 from bus.locator import check_endpoint
 from bus.messages.base import MAX_SEED
 from bus.policies import policy_forms
@@ -19,11 +16,6 @@ from bus.registry import (
     LAWS,
     described,
 )
-
-if TYPE_CHECKING:
-    from agents.process import MakePilot
-    from bus.credentials import Credential
-    from bus.session import Session
 
 ScenarioName = Annotated[str, typer.Argument(help="Name of a shipped scenario, or a TOML file.")]
 Seed = Annotated[
@@ -207,40 +199,6 @@ def with_respawn(changes: list[str] | None, *, respawn: bool) -> list[str]:
     return [*(changes or ()), *(["run.respawn=true"] if respawn else [])]
 
 
-def secret_of(given: str, *, wanted: bool = False) -> str:
-    """Return the run's secret.
-
-    Args:
-        given: Value of the option: @FILE, `new`, hexadecimal digits, or empty.
-        wanted: True: make a secret if the option is empty.
-
-    Raises:
-        ScenarioError: If the secret is invalid, or its file cannot be read.
-    """
-    from sim.engine.run_keys import check_secret, new_secret
-
-    if given == "new" or (wanted and not given):
-        return new_secret()
-    source = "--secret"
-    if given.startswith("@"):
-        source = given[1:]
-        try:
-            with Path(source).open(encoding="ascii") as file:
-                given = file.read(1000).strip()
-        except (OSError, UnicodeDecodeError) as error:
-            raise ScenarioError(
-                f"--secret {source}: {getattr(error, 'strerror', '') or 'not a text file'}"
-            ) from error
-        if not given:
-            raise ScenarioError(
-                f"--secret {source}: the file is empty; allowed: 32 to 128 hexadecimal digits"
-            )
-    try:
-        return check_secret(given, source)
-    except ValueError as error:
-        raise ScenarioError(str(error)) from error
-
-
 def check_endpoints(endpoints: tuple[str, ...], *, secured: bool, insecure: bool) -> None:
     """Check that no other machine can join without credentials by mistake.
 
@@ -253,108 +211,6 @@ def check_endpoints(endpoints: tuple[str, ...], *, secured: bool, insecure: bool
                 f"endpoint {endpoint}: other machines can join, and there are no credentials; "
                 "make them with `outrider credentials`, or add --insecure"
             )
-
-
-def staff_of(file: Path | None, role: Role) -> "tuple[Party, Credential | None]":
-    """Return the operator or observer whose credentials a file holds, with the credentials.
-
-    Args:
-        file: File of credentials; None: use the password of this process, if any.
-        role: Role of the password's party. Without a password, all parties have all rights, and the operator is
-            returned.
-
-    Raises:
-        AccessDenied: If the file belongs to a party of another role.
-    """
-    from bus.credentials import read_credential
-
-    found = credential_of(None, role, role.value) if file is None else read_credential(file)
-    if found is None:
-        return Party(role=Role.OPERATOR, name=OPERATOR_NAME), None
-    if found.role not in (Role.OPERATOR, Role.OBSERVER):
-        raise AccessDenied(
-            f"{file}: credentials of {found.name} ({found.role}); allowed: an operator or observer"
-        )
-    return found.party, found
-
-
-class Joining(NamedTuple):
-    """Arguments with which a process joins a run."""
-
-    party: Party
-    connect: str
-    run: str
-    credential: "Credential | None"
-    join_timeout: float
-    """Longest wait for a router or simulator [s]."""
-
-    def session(self) -> "AbstractContextManager[Session]":
-        """Open the session; errors as in `open_session`."""
-        from bus.joining import open_session
-
-        return open_session(
-            self.party,
-            self.run,
-            connect=self.connect,
-            credential=self.credential,
-            join_timeout=self.join_timeout,
-        )
-
-    def fly(self, make_pilot: "MakePilot") -> int:
-        """Fly the vehicle until the run is over; result and errors as in `agents.process.fly`."""
-        from agents.process import fly
-
-        return fly(
-            self.party,
-            make_pilot,
-            connect=self.connect,
-            run=self.run,
-            credential=self.credential,
-            join_timeout=self.join_timeout,
-        )
-
-
-def joining(
-    role: str, name: str, connect: str, run: str, file: Path | None, join_timeout: float
-) -> Joining:
-    """Return the arguments with which a party joins; errors as in `check_endpoint`, `party_of`, `credential_of`."""
-    from bus.roles import party_of
-
-    check_endpoint(connect)
-    credential = credential_of(file, role, name)
-    return Joining(party_of(role, name), connect, run, credential, join_timeout)
-
-
-def join(
-    role: str, run: str, connect: str, file: Path | None, join_timeout: float = 10.0
-) -> "AbstractContextManager[Session]":
-    """Open the session of a run's operator, observer or bridge; errors as in `joining`."""
-    return joining(role, str(role), connect, run, file, join_timeout).session()
-
-
-def credential_of(file: Path | None, role: str, name: str) -> "Credential | None":
-    """Return this process's credential, from its file or from OUTRIDER_PASSWORD; None without either.
-
-    Raises:
-        AccessDenied: If the file belongs to another party.
-        ScenarioError: If the password is invalid.
-    """
-    from bus.credentials import Credential, read_credential
-
-    if file is not None:
-        found = read_credential(file)
-        if (found.role, found.name) != (role, name):
-            raise AccessDenied(
-                f"{file}: credentials of {found.name} ({found.role}); allowed: {name} ({role})"
-            )
-        return found
-    password = os.environ.get("OUTRIDER_PASSWORD")
-    if not password:
-        return None
-    try:
-        return msgspec.convert({"name": name, "role": str(role), "password": password}, Credential)
-    except msgspec.ValidationError as error:
-        raise ScenarioError(f"OUTRIDER_PASSWORD or name: {error}") from error
 
 
 def size_of(path: Path) -> int:

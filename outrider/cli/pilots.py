@@ -5,8 +5,11 @@ from typing import Annotated
 
 import typer
 
+from agents.process import uav_maker, ugv_maker
 from bus.keys import Party, Role
 from outrider.cli import options
+from outrider.cli.joining import Joining, joining
+from outrider.cli.standard_files import print_starting
 from outrider.running.parent import read_start
 from outrider.running.user_code import load_function
 
@@ -31,9 +34,7 @@ def uav(
 
     Example: outrider uav --connect tcp/127.0.0.1:17447 --name uav_0
     """
-    from agents.process import uav_maker
-
-    joining, code = _joining(Role.UAV, name, connect, run, credentials, join_timeout, child=child)
+    joined, code = _joining(Role.UAV, name, connect, run, credentials, join_timeout, child=child)
     code = code or {"weighting": weighting, "path": path, "uav_policy": uav_policy}
     functions = {field: load_function(value, what=field) for field, value in code.items()}
     maker = uav_maker(
@@ -42,7 +43,7 @@ def uav(
         policy=functions["uav_policy"],
         policy_name=code["uav_policy"],
     )
-    joining.fly(maker)
+    joined.fly(maker)
 
 
 def ugv(
@@ -63,12 +64,10 @@ def ugv(
 
     Example: outrider ugv --connect tcp/127.0.0.1:17447 --name ugv_0
     """
-    from agents.process import ugv_maker
-
-    joining, code = _joining(Role.UGV, name, connect, run, credentials, join_timeout, child=child)
+    joined, code = _joining(Role.UGV, name, connect, run, credentials, join_timeout, child=child)
     policy = code.get("policy", policy)
     maker = ugv_maker(policy=load_function(policy, what="policy"), policy_name=policy)
-    joining.fly(maker)
+    joined.fly(maker)
 
 
 def _joining(
@@ -80,13 +79,11 @@ def _joining(
     join_timeout: float,
     *,
     child: bool,
-) -> tuple[options.Joining, dict[str, str]]:
+) -> tuple[Joining, dict[str, str]]:
     """Return the arguments with which this vehicle joins the run, and the code that its parent names."""
     if not child:
-        from outrider.cli.console import print_starting
-
         print_starting()
-        return options.joining(role, name, connect, run, credentials, join_timeout), {}
+        return joining(role, name, connect, run, credentials, join_timeout), {}
 
     start, party = read_start(), Party(role=role, name=name)
-    return options.Joining(party, connect, run, start.credential, start.join_timeout), start.code
+    return Joining(party, connect, run, start.credential, start.join_timeout), start.code

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.progress import TextColumn
@@ -11,15 +11,14 @@ from rich.progress import TextColumn
 from bus import plugins
 from bus.errors import PeerLost, ScenarioError
 from bus.keys import Role
+from bus.session import Session
 from outrider.cli import options
 from outrider.cli.console import ERR, bar, print_json
+from outrider.cli.joining import join
 from outrider.cli.stopping import Stop, stop_on_signals
 from outrider.cli.waiting import RouterTimer
+from outrider.recording.observer import RunRecorder, RunSink
 from outrider.running.resolve import resolve
-
-if TYPE_CHECKING:
-    from bus.session import Session
-    from outrider.recording.observer import RunRecorder, RunSink
 
 _MCAP = "mcap"
 
@@ -81,13 +80,11 @@ def command(
         return
     if out is None:
         raise typer.BadParameter("OUT is missing; allowed: a file to write, such as run.mcap")
-    from outrider.recording.observer import RunRecorder
-
     sink = _sink(form, out)
     known = resolve(scenario, changes=changes)[0] if scenario else None
     with (
         stop_on_signals() as stop,
-        options.join(Role.OBSERVER, run, connect, credentials) as session,
+        join(Role.OBSERVER, run, connect, credentials) as session,
     ):
         recorder = RunRecorder(session, sink(out), known)
         if not ERR.is_terminal:  # on a terminal, the bar shows it
@@ -106,14 +103,14 @@ def command(
         raise PeerLost(f"the router at {connect} disconnected; all earlier ticks are in {out}")
 
 
-def _sink(form: str, out: Path) -> "Callable[[Path], RunSink]":
+def _sink(form: str, out: Path) -> Callable[[Path], RunSink]:
     """Return the writer of a format; writers of entry points `outrider.sinks` need a new path.
 
     Raises:
         ScenarioError: If the format is unknown, one of its libraries is missing, or the path exists.
     """
     if form == _MCAP:
-        from outrider.recording.mcap_file import RecordingFile
+        from outrider.recording.mcap_file import RecordingFile  # noqa: PLC0415 - the extra [record]
 
         return RecordingFile
     known = plugins.registered("sinks")
@@ -128,7 +125,7 @@ def _sink(form: str, out: Path) -> "Callable[[Path], RunSink]":
     return sink
 
 
-def _follow(session: "Session", recorder: "RunRecorder", stop: Stop) -> bool:
+def _follow(session: Session, recorder: RunRecorder, stop: Stop) -> bool:
     """Record until the run is over or a signal arrives; return true if the router disconnected."""
     counts = "{task.fields[seconds]:>7.1f} s simulated, {task.fields[missing]} ticks missing"
     router = RouterTimer(session)
@@ -150,7 +147,7 @@ def _follow(session: "Session", recorder: "RunRecorder", stop: Stop) -> bool:
 
 
 def _repair(killed: Path, out: Path, *, json: bool) -> None:
-    from outrider.recording.repair import repair
+    from outrider.recording.repair import repair  # noqa: PLC0415 - the extra [record]
 
     saved = repair(killed, out)
     if json:

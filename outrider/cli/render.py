@@ -41,15 +41,13 @@ def command(
 
     Example: outrider render run.mcap -o run.gif --realtime 20
     """
-    from outrider.recording.reader import flight_of
-    from outrider.view.film import check_output, render
+    from outrider.view.film import render_file  # noqa: PLC0415 - matplotlib, and the extra [record]
 
-    check_output(out)
-    recording = flight_of(file, flight)
     with share_progress("drawing") as show:
-        render(
-            recording,
+        render_file(
+            file,
             out,
+            flight=flight,
             fps=fps,
             speed=realtime,
             on_frame=lambda done, total: show("drawing", done / total),

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from bus.files import writing
 from bus.plugins import require
 from outrider.cli.console import ERR, OUT, print_json, print_warnings
 from outrider.cli.options import Json
@@ -46,32 +45,27 @@ def command(
         raise typer.BadParameter("--markdown and --json both write to stdout; leave one out")
 
     with ERR.status("reading and drawing"):
-        from outrider.experiments.report.document import markdown as markdown_of
-        from outrider.experiments.report.document import page
-        from outrider.experiments.report.plots import draw_all
-        from outrider.experiments.report.results import read_material
+        from outrider.experiments.report.files import write_report  # noqa: PLC0415 - matplotlib
 
-        material = read_material(folders, lambda line: print_warnings([line]))
-        where = out or (folders[0] / "report" if len(material.folders) == 1 else Path("report"))
-        where.mkdir(parents=True, exist_ok=True)
-        pictures = draw_all(material, where)
-        file = where / "report.html"
-        with writing(file):
-            file.write_text(
-                page(material, pictures, shlex.join(["outrider", *sys.argv[1:]])), encoding="utf-8"
-            )
+        report = write_report(
+            folders,
+            out,
+            shlex.join(["outrider", *sys.argv[1:]]),
+            lambda line: print_warnings([line]),
+        )
+    material, pictures = report.material, report.pictures
     if markdown:
-        print_text(markdown_of(material))
+        print_text(report.markdown())
         return
     if json:
         files = {name: str(path) for name, path in pictures.items()}
         counts = {"rows": material.rows, "failed": material.failed, "missing": material.missing}
-        print_json({**counts, "page": str(file), "pictures": files})
+        print_json({**counts, "page": str(report.page), "pictures": files})
         return
     if material.missing:
         ERR.tell(
             Text.assemble(("not finished:", "yellow"), f" {material.missing:,} runs are missing")
         )
-    OUT.tell(f"{material.rows:,} runs, {material.failed:,} failed\n  {file}")
+    OUT.tell(f"{material.rows:,} runs, {material.failed:,} failed\n  {report.page}")
     for path in pictures.values():
         OUT.tell(f"  {path}")

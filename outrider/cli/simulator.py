@@ -18,11 +18,13 @@ from outrider.cli.console import (
     FlightProgress,
     flight_progress,
     print_json,
-    print_starting,
-    print_summary,
     print_warnings,
 )
+from outrider.cli.joining import credential_of
+from outrider.cli.run_secret import secret_of
+from outrider.cli.standard_files import print_starting
 from outrider.cli.stopping import stop_on_signals
+from outrider.cli.summary_table import print_summary
 from outrider.running.assumptions import assumption_warnings
 from outrider.running.exit_reports import Report, Reports
 from outrider.running.parent import Output, read_start
@@ -201,7 +203,7 @@ def command(
     )
     given, credential = None, None
     if connect:
-        credential = options.credential_of(credentials, Role.SIMULATOR, SIMULATOR_NAME)
+        credential = credential_of(credentials, Role.SIMULATOR, SIMULATOR_NAME)
     elif credentials is not None:
         given = read_credentials(credentials)
     endpoints = () if connect else tuple(listen or (options.DEFAULT_ENDPOINT,))
@@ -209,7 +211,7 @@ def command(
     options.check_endpoints(
         endpoints or (connect,), secured=secured or bool(connect), insecure=insecure
     )
-    run_secret = options.secret_of(secret, wanted=secured)
+    run_secret = secret_of(secret, wanted=secured)
     output = Output(folder=str(out or ""), record=str(record or ""))
     job = _Job(flown, run, connect, endpoints, credential, given, run_secret, output)
     print_starting()
@@ -268,7 +270,7 @@ def _recorder(job: _Job) -> "Iterator[FlightRecorder | None]":
     if not job.output.record:
         yield None
         return
-    from outrider.recording.writer import FlightRecorder
+    from outrider.recording.writer import FlightRecorder  # noqa: PLC0415 - the extra [record]
 
     file = Path(job.output.record)
     with closing(FlightRecorder(file, job.scenario, job.scenario.seed, secret=job.secret)) as one:

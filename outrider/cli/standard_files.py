@@ -21,6 +21,12 @@ def print_text(text: str) -> None:
         sys.stdout.flush()
 
 
+def print_starting() -> None:
+    """Print on a terminal that the first start takes about 30 s; a vehicle's process loads no console for it."""
+    if sys.stderr.isatty():
+        sys.stderr.write("starting (the first start compiles for about 30 s)\n")
+
+
 def open_standard_files() -> None:
     """Open /dev/null in place of standard files that the caller has closed.
 

@@ -10,7 +10,7 @@ INTERRUPTED = 130
 def main() -> NoReturn:
     """Run the command line, and exit."""
     try:
-        from outrider.cli.main import main as run
+        from outrider.cli.main import main as run  # noqa: PLC0415 - inside the try
 
         run()
     except KeyboardInterrupt:

@@ -14,11 +14,12 @@ from bus.messages.base import MAX_SEED
 from bus.plugins import require
 from outrider.cli.console import ERR, OUT, print_json, print_warnings, runs_bar
 from outrider.cli.options import AllowCode, Duration, Json, Set
+from outrider.experiments.sweep.definition import Sweep, describe_sweep
+from outrider.experiments.sweep.plan import SweepPlan, lay_out
+from sim.compiling.threads import cores
 
 if TYPE_CHECKING:
-    from outrider.experiments.sweep.definition import Sweep
     from outrider.experiments.sweep.folder import SweepFolder
-    from outrider.experiments.sweep.plan import SweepPlan
 
 
 SweepName = Annotated[
@@ -94,9 +95,8 @@ def command(
     require("sweep")
     if dask:
         require("dask")
-    from outrider.experiments.sweep.definition import describe_sweep
-    from outrider.experiments.sweep.folder import SweepFolder
-    from outrider.experiments.sweep.running import open_cluster
+    from outrider.experiments.sweep.folder import SweepFolder  # noqa: PLC0415 - the extra [sweep]
+    from outrider.experiments.sweep.running import open_cluster  # noqa: PLC0415 - the extra [sweep]
 
     if duration is not None:
         changes = [*(changes or ()), f"duration={duration!r}"]
@@ -141,10 +141,8 @@ def command(
     _print_results(counts, folder, where, json=json)
 
 
-def _lay_out(sweep: "Sweep", named: Sequence[str], *, allow_code: bool) -> "SweepPlan":
+def _lay_out(sweep: Sweep, named: Sequence[str], *, allow_code: bool) -> SweepPlan:
     """Load all points, with a progress bar."""
-    from outrider.experiments.sweep.plan import lay_out
-
     with runs_bar() as progress:
         task = progress.add_task("loading the points", total=None, note="")
         return lay_out(
@@ -155,13 +153,15 @@ def _lay_out(sweep: "Sweep", named: Sequence[str], *, allow_code: bool) -> "Swee
         )
 
 
-def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any) -> None:  # noqa: ANN401 - an extra's type
+def _fly(plan: SweepPlan, folder: "SweepFolder", jobs: int | None, client: Any) -> None:  # noqa: ANN401 - an extra's type
     """Fly the missing runs, with a progress bar.
 
     The bar counts the estimated cost of the runs, so that the remaining time is right for ticks of any length.
     """
-    from outrider.experiments.sweep.running import cost_of, fly_sweep
-    from sim.compiling.threads import cores
+    from outrider.experiments.sweep.running import (  # noqa: PLC0415 - the extra [sweep]
+        cost_of,
+        fly_sweep,
+    )
 
     workers = jobs or (sum(client.ncores().values()) if client is not None else cores())
     costs = [cost_of(point.scenario) for point in plan.points]
@@ -192,7 +192,7 @@ def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any
 
 
 def _interrupted(
-    plan: "SweepPlan", folder: "SweepFolder", end: KeyboardInterrupt | SystemExit
+    plan: SweepPlan, folder: "SweepFolder", end: KeyboardInterrupt | SystemExit
 ) -> None:
 
     folder.count_rows()  # rows may be written, but not counted yet
@@ -205,7 +205,10 @@ def _print_results(
     counts: dict[str, Any], folder: "SweepFolder", where: Path, *, json: bool
 ) -> None:
     """Print the results of a sweep, and exit with 1 if a run failed."""
-    from outrider.experiments.sweep.folder import read_head, read_results
+    from outrider.experiments.sweep.folder import (  # noqa: PLC0415 - the extra [sweep]
+        read_head,
+        read_results,
+    )
 
     if json:
         print_json(counts)

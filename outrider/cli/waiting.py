@@ -1,14 +1,12 @@
 """Waiting for a run's simulator, and for a disconnected router."""
 
 import time
-from typing import TYPE_CHECKING
 
 from bus.keys import STATUS
 from bus.messages.telemetry import Status
+from bus.session import Session
+from outrider.cli.console import ERR
 from outrider.cli.stopping import Stop
-
-if TYPE_CHECKING:
-    from bus.session import Session
 
 AWAY = 3.0
 """Time after which a disconnected party counts as lost [s]."""
@@ -17,7 +15,7 @@ AWAY = 3.0
 class RouterTimer:
     """Timer that distinguishes a lost router from a brief disconnection."""
 
-    def __init__(self, session: "Session") -> None:
+    def __init__(self, session: Session) -> None:
         self._session = session
         self._since: float | None = None
 
@@ -32,12 +30,10 @@ class RouterTimer:
 
 def print_waiting(run: str) -> None:
     """Print that the command waits for the simulator."""
-    from outrider.cli.console import ERR  # a vehicle's process must not load a scenario
-
     ERR.tell(f"waiting for the simulator of the run {run}; Ctrl-C quits")
 
 
-def await_status(session: "Session", stop: Stop) -> Status | None:
+def await_status(session: Session, stop: Stop) -> Status | None:
     """Wait for the first status with the vehicles' geometry; return None if a signal arrives first."""
     statuses, is_announced = session.inbox(STATUS), False
     while not stop:

@@ -13,7 +13,7 @@ from PIL import Image
 
 from bus.errors import ScenarioError
 from bus.files import writing
-from outrider.recording.reader import Recording, coverages, grounds
+from outrider.recording.reader import Recording, coverages, flight_of, grounds
 from outrider.recording.refly import external_uavs, from_the_start, restore
 from sim.compiling.compile import FloatArray
 from sim.scenario.types import NO_UAV
@@ -102,6 +102,20 @@ def render(
         _write_gif(frames, out, fps, hazards=film.hazards)
     else:
         _write_mp4(frames, out, fps)
+
+
+def render_file(
+    file: Path,
+    out: Path,
+    *,
+    flight: int | None,
+    fps: int,
+    speed: float,
+    on_frame: Progress,
+) -> None:
+    """Draw one flight of a recording; arguments and errors as in `flight_of` and `render`."""
+    check_output(out)  # before a long recording is read
+    render(flight_of(file, flight), out, fps=fps, speed=speed, on_frame=on_frame)
 
 
 def _counted(frames: Iterator[Picture], total: int, on_frame: Progress) -> Iterator[Picture]:

@@ -2,6 +2,7 @@
 
 from bus.messages.vehicle import UavCommand
 from outrider.cli import options
+from outrider.cli.joining import joining
 
 
 class Hover:
@@ -27,5 +28,4 @@ def command(
 
     Example: outrider hover --name uav_0
     """
-    joining = options.joining("uav", name, connect, run, credentials, join_timeout)
-    joining.fly(Hover)
+    joining("uav", name, connect, run, credentials, join_timeout).fly(Hover)

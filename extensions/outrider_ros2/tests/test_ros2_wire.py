@@ -17,7 +17,7 @@ from bus.messages.links import LinkStatus
 from bus.messages.telemetry import CoverageMap, VehicleStatus
 from outrider.running.refused import Refused
 from outrider_ros2.conversion import stamp
-from outrider_ros2.interfaces import decode, encode, make, type_hash
+from outrider_ros2.interfaces import decode, encode, gid_of, make, type_hash
 from outrider_ros2.roles import PILOT
 from outrider_ros2.run_view import PathTrack, RunView
 from outrider_ros2.topics import PILOT_COMMANDS, PILOT_TOPICS, TOPICS, messages_of, wire_topic
@@ -30,7 +30,6 @@ from outrider_ros2.wire import (
     Qos,
     check_domain,
     check_namespace,
-    gid_of,
 )
 from sim.scenario.loading import load_scenario
 from sim.scene.known import scene_of

@@ -1,0 +1,34 @@
+"""Work of `outrider dashboard`: the page of a run."""
+
+import socket
+import sys
+
+from outrider.cli.console import ERR
+from outrider.cli.joining import Joining
+from outrider.running.parent import Start
+from outrider_dashboard.address import Access, address_of
+from outrider_dashboard.app import serve
+from outrider_dashboard.controls.run_card import Controls
+from outrider_dashboard.hub import Hub
+from outrider_dashboard.sources.live import LiveRun
+
+
+def show_run(joining: Joining, opened: socket.socket, access: Access, start: Start | None) -> None:
+    """Serve the page of a run; as a child process, report on standard output when it is ready and over."""
+    line = f"dashboard of the run: {address_of(opened, access.token)}"
+
+    def report(text: str) -> None:
+        if start is None:
+            ERR.tell(text)
+        else:
+            sys.stdout.write(text + "\n")
+            sys.stdout.flush()
+
+    def on_end() -> None:
+        if start is not None:
+            report("over")
+
+    with joining.session() as session:
+        hub = Hub(LiveRun(session), start.law if start is not None else None, on_end)
+        controls = (lambda: Controls(hub).show) if hub.source.may_steer else None
+        serve(hub, opened, access, controls=controls, ready=lambda: report(line))

@@ -1,0 +1,96 @@
+"""Work of `outrider network`."""
+
+from pathlib import Path
+
+import msgspec
+from rich.text import Text
+
+from bus.errors import ScenarioError
+from bus.numbers import exact
+from outrider.cli.console import ERR, OUT, print_json, print_table, print_warnings
+from outrider.running.resolve import resolve
+from outrider_networks.fitting import Fit, fit_link
+from outrider_networks.scenario_bounds import bounds_for, exceedance, in_runs
+from sim.input.faults import one_line
+from sim.scenario.recordings import read_link
+
+
+def print_fit(file: Path, out: Path | None, *, rate: float, message_bytes: int, json: bool) -> None:
+    """Fit a recorded link, print the result and draw it."""
+    if out is not None and out.suffix.lower() != ".png":
+        raise ScenarioError(f"--out {out}: not a PNG file; allowed: FILE.png")
+    recorded = msgspec.structs.replace(read_link(str(file), one_line(str(file))), name=file.name)
+    with ERR.status("fitting"):
+        found, samples = fit_link(recorded, rate=rate, message_bytes=message_bytes)
+    if out is not None:
+        from outrider_networks.picture import draw_fit  # noqa: PLC0415 - matplotlib
+
+        draw_fit(found, samples, out)
+    if json:
+        print_json(found)
+        return
+    _print(found)
+    if out is not None:
+        OUT.tell(str(out))
+
+
+def print_chances(
+    scenario: str,
+    *,
+    changes: list[str] | None,
+    duration: float | None,
+    law: str | None,
+    network: str,
+    json: bool,
+) -> None:
+    """Print the probabilities that a run exceeds its declared bounds."""
+    loaded, _ = resolve(scenario, changes=changes, duration=duration, law=law, network=network)
+    found = exceedance(loaded)
+    if json:
+        print_json(found)
+        return
+    rows = [
+        (name, "unknown" if value is None else in_runs(value))
+        for name, value in found.exceedance_probability.items()
+    ]
+    print_table(("bound", "exceeded"), rows, title=f"{found.scenario}: declared bounds")
+    lost = found.loss_probability
+    kept = "is not guaranteed" if lost is None else f"is lost {in_runs(lost)}"
+    OUT.tell(f"\ncertified visibility {kept}")
+
+
+def print_bounds(
+    scenario: str,
+    risk: float,
+    *,
+    changes: list[str] | None,
+    duration: float | None,
+    law: str | None,
+    network: str,
+    json: bool,
+) -> None:
+    """Print the smallest bounds for a risk."""
+    if not 0.0 < risk < 1.0:
+        raise ScenarioError(f"--risk {exact(risk)}: out of range; allowed: above 0 and below 1")
+    loaded, _ = resolve(scenario, changes=changes, duration=duration, law=law, network=network)
+    found = bounds_for(loaded, risk)
+    if json:
+        print_json(found)
+        return
+    for field, value in found.set.items():
+        OUT.tell(f"--set {field}={value!r}")
+
+
+def _print(found: Fit) -> None:
+    delays = ", ".join(f"{name} {1000.0 * value:.3g} ms" for name, value in found.delay.items())
+    OUT.tell(
+        f"{found.file}: {found.messages:,} messages, one every {found.interval:g} s\n"
+        f"delay: {delays}\n"
+        f"lost: {100.0 * found.lost:.3g} %, at most {found.longest_burst:g} s in a row\n"
+    )
+    fitted = Text("fitted", style="bold"), Text(f"{found.factor:.2f}", style="bold")
+    profiles = [(f"profile {name}", f"{factor:.2f}") for name, factor in found.profiles.items()]
+    title = "Time until a message or a later one arrives: mean ratio, 1 is a perfect fit"
+    print_table(("link", "factor"), [fitted, *profiles], title=title, right=("factor",))
+    OUT.tell(f"\n{found.toml}")
+    print_warnings(found.notes)
