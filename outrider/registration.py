@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import gymnasium
 import pettingzoo  # type: ignore[import-untyped]
+from pettingzoo.utils import parallel_to_aec
 
 if TYPE_CHECKING:
     from pettingzoo import AECEnv, ParallelEnv
@@ -41,7 +42,7 @@ def vector(*, num_envs: int, **settings: Any) -> "OutriderVectorEnv":  # noqa: A
     Raises:
         ValueError: If the settings limit the steps, which Gymnasium supports for single environments only.
     """
-    from outrider.envs.vector import OutriderVectorEnv  # noqa: PLC0415
+    from outrider.envs.vector import OutriderVectorEnv  # noqa: PLC0415 - it imports compiled code
 
     refuse_limit(settings, "max_episode_steps", "not for many worlds at once")
     return OutriderVectorEnv(num_envs=num_envs, **settings)
@@ -53,7 +54,7 @@ def parallel(**settings: Any) -> "ParallelEnv[str, Any, Any]":  # noqa: ANN401
     Raises:
         ValueError: If the settings limit the cycles: the scenario's duration ends an episode.
     """
-    from outrider.envs.parallel import parallel_env  # noqa: PLC0415
+    from outrider.envs.parallel import parallel_env  # noqa: PLC0415 - it imports compiled code
 
     refuse_limit(settings, "max_cycles", "episodes have a length")
     return parallel_env(**settings)
@@ -61,8 +62,6 @@ def parallel(**settings: Any) -> "ParallelEnv[str, Any, Any]":  # noqa: ANN401
 
 def turn_based(**settings: Any) -> "AECEnv[str, Any, Any]":  # noqa: ANN401
     """Make the environment of `pettingzoo.make("aec", ...)`, whose agents act one after the other."""
-    from pettingzoo.utils import parallel_to_aec  # type: ignore[import-untyped]  # noqa: PLC0415
-
     return parallel_to_aec(parallel(**settings))
 
 

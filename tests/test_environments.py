@@ -27,7 +27,7 @@ from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.parallel import parallel_env
 from outrider.envs.single import single_env
 from outrider.envs.vector import parallel_vector_env, vector_env
-from outrider_learning.suite.scoring import evaluate
+from outrider_learning.suite.evaluation import evaluate
 from outrider_learning.suite.tasks import suite
 from refusals import refused
 from sim.scenario.loading import load_scenario

@@ -22,7 +22,7 @@ from bus.observations import ALTITUDE, GRADIENT, STATE, UAV, UAV_STATE, UGV, UGV
 from bus.plugins import GROUPS
 from outrider.cli.main import make_app
 from outrider.running.assumptions import certified_from
-from outrider.running.user_code import check_own_functions
+from outrider.running.own_functions import check_own_functions
 from pages import PAGES, ROOT, blocks, run_shown
 from processes import ran, started, wait_until
 from sim.channel.recorded import MOST_BYTES, MOST_LINES

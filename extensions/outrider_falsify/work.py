@@ -12,8 +12,9 @@ from bus.plugins import require
 from bus.registry import LAWS
 from outrider.cli.console import ERR, OUT, print_json, print_warnings, runs_bar
 from outrider.cli.stopping import stop_on_signals
+from outrider.running.own_functions import check_own_functions
 from outrider.running.resolve import resolve
-from outrider.running.user_code import check_code, check_own_functions, foreign_code
+from outrider.running.user_code import check_code, foreign_code
 from outrider_falsify.attack_grid import EPS
 from outrider_falsify.engines import SearchRequest, SearchResult, save, search
 from outrider_falsify.limits import SearchLimits, base_of, beyond_declared

@@ -12,8 +12,9 @@ from outrider.running.assumptions import (
     how_certifiable,
 )
 from outrider.running.first_tick import check_first_tick
+from outrider.running.own_functions import check_own_functions
 from outrider.running.resolve import resolve
-from outrider.running.user_code import check_own_functions, foreign_code
+from outrider.running.user_code import foreign_code
 from sim.engine.briefing import uav_briefing
 from sim.scenario.checks import scenario_warnings
 from sim.scenario.types import NO_UAV

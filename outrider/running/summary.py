@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -12,9 +12,9 @@ from bus.messages.control import Action, Change
 from bus.messages.decision import NotCertified
 from bus.messages.links import LinkStatus
 from bus.messages.telemetry import CertificateStatus, MissionResult, VehicleStatus
-
-if TYPE_CHECKING:
-    from sim.server.flight import Flight
+from sim.models.vehicles import raw_switching_radius
+from sim.server.flight import Flight
+from sim.server.recorder import platform_row
 
 
 class Process(msgspec.Struct, frozen=True, kw_only=True):
@@ -120,10 +120,8 @@ def _mean(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float | 
     return float(values.mean()) if values.size else None
 
 
-def switching_radius_of(flight: "Flight", escort: int = 0) -> float | None:
+def switching_radius_of(flight: Flight, escort: int = 0) -> float | None:
     """Return r_s of one escort, eq. (18) [m]; None if it is not finite."""
-    from sim.models.vehicles import raw_switching_radius  # noqa: PLC0415 - reading a summary needs no compiled code
-
     world = flight.world
     a, g = world.escorts[escort]
     uav, ugv = world.vehicles[a], world.vehicles[g]
@@ -173,7 +171,7 @@ def certificate_fields(status: CertificateStatus | None) -> dict[str, Any]:
     }
 
 
-def _uav_metrics(flight: "Flight", rows: list[int]) -> dict[str, Any]:
+def _uav_metrics(flight: Flight, rows: list[int]) -> dict[str, Any]:
     """Return the merged metrics of several UAVs, from their recorded states and reports.
 
     Args:
@@ -203,7 +201,7 @@ def _uav_metrics(flight: "Flight", rows: list[int]) -> dict[str, Any]:
     }
 
 
-def _min_separation(flight: "Flight") -> float | None:
+def _min_separation(flight: Flight) -> float | None:
     """Return the smallest distance of two UAVs at a tick [m]; None with fewer than two."""
     recorder, rows = flight.recorder, flight.world.escorts[:, 0]
     places = recorder.states[:, rows, :2]
@@ -216,7 +214,7 @@ def _min_separation(flight: "Flight") -> float | None:
     return min(found, default=None)
 
 
-def _by_uav(flight: "Flight") -> dict[str, UavMetrics]:
+def _by_uav(flight: Flight) -> dict[str, UavMetrics]:
     """Return the metrics of each UAV, by name."""
     found: dict[str, UavMetrics] = {}
     for k, pair in enumerate(flight.world.escorts):
@@ -228,7 +226,7 @@ def _by_uav(flight: "Flight") -> dict[str, UavMetrics]:
 
 
 def summarize(
-    flight: "Flight",
+    flight: Flight,
     *,
     seconds: float,
     vehicles: Mapping[str, VehicleStatus] | None = None,
@@ -248,8 +246,6 @@ def summarize(
         changes: Changes by operators.
         telemetry_faults: Messages to observers that could not be made or sent, by topic.
     """
-    from sim.server.recorder import platform_row  # noqa: PLC0415 - reading a summary needs no compiled code
-
     scenario, recorder, world = flight.scenario, flight.recorder, flight.world
     steered = any(change.control.action in _TRAJECTORY_ACTIONS for change in changes)
     certified = flight.answers.assurance.status()

@@ -8,10 +8,7 @@ from agents.drivers.policy import RowPolicy
 from bus import plugins
 from bus.errors import ScenarioError
 from bus.policies import Vehicle, endings, is_policy_file, policy_forms, policy_kinds
-from bus.registry import (
-    LAWS,
-    resolve,
-)
+from bus.registry import resolve
 from outrider.running.user_modules import find_object
 from sim.input.faults import one_line
 
@@ -146,42 +143,3 @@ def check_code(
     """
     for line in () if allowed else foreign_code(scenario, named):
         raise ScenarioError(f"{one_line(str(source))}: {line}, if you trust both")
-
-
-def check_own_functions(scenario: "Scenario") -> tuple[str, ...]:
-    """Load the scenario's functions and check the paper's conditions, before any process starts.
-
-    Returns:
-        Warnings about a path that the UAV cannot follow, one line each.
-
-    Raises:
-        ScenarioError: If a function does not exist or violates a condition.
-    """
-    if not own_code(scenario):
-        return ()
-    from agents.control.orbit import check_path  # noqa: PLC0415 - other commands do not need the laws
-    from agents.control.visibility import switching_radius  # noqa: PLC0415
-    from agents.control.weighting import check_weighting  # noqa: PLC0415
-    from agents.laws.policy import check_fit  # noqa: PLC0415
-    from sim.engine.briefing import uav_briefing  # noqa: PLC0415
-
-    weighting = load_function(scenario.custom.weighting, what="custom.weighting")
-    path = load_function(scenario.custom.path, what="custom.path")
-    load_function(scenario.custom.policy, what="custom.policy")
-    own = load_function(scenario.custom.uav_policy, what="custom.uav_policy")
-    ugvs = {ugv.name: ugv for ugv in scenario.ugv}
-    warnings: list[str] = []
-    for uav in scenario.uav:
-        if own is not None:
-            briefing = uav_briefing(scenario, uav.name, 0)
-            warnings += check_fit(briefing, own, scenario.custom.uav_policy)
-        r_v, v_g = scenario.visibility.radius, ugvs[uav.escorts].max_speed
-        if weighting is not None and LAWS[scenario.law.name].own == "weighting":
-            check_weighting(
-                weighting, switching_radius(r_v, uav.max_speed, v_g, uav.max_acceleration)
-            )
-        if path is not None and LAWS[scenario.law.name].own == "path":
-            warnings += check_path(
-                path, scenario.duration, r_v, uav.max_speed, v_g, uav.max_acceleration
-            )
-    return tuple(dict.fromkeys(warnings))

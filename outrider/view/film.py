@@ -15,6 +15,7 @@ from bus.errors import ScenarioError
 from bus.files import writing
 from outrider.recording.reader import Recording, coverages, flight_of, grounds
 from outrider.recording.refly import external_uavs, from_the_start, restore
+from outrider.view.flight_picture import draw_flight
 from sim.compiling.compile import FloatArray
 from sim.scenario.types import NO_UAV
 from sim.scene.altitude import altitudes_of, sight_of, worst_sight
@@ -87,8 +88,6 @@ def render(
     check_output(out)
     ending = out.suffix.lower()
     if ending == ".png" and recording.head.scenario is not None and from_the_start(recording):
-        from outrider.view.flight_picture import draw_flight  # noqa: PLC0415 - only a picture needs it
-
         draw_flight(restore(recording), out, recording.last_ground)
         on_frame(1, 1)
         return

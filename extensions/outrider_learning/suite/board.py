@@ -9,7 +9,8 @@ from typing import Any
 
 from bus.registry import LAWS
 from outrider.experiments.intervals import interquartile_interval
-from outrider_learning.suite.scoring import Entry, Result, evaluate, score_interval
+from outrider_learning.suite.evaluation import evaluate
+from outrider_learning.suite.scoring import Entry, Result, score_interval
 from outrider_learning.suite.tasks import NO_ESCORT, SEEDS, Suite, Task, suite
 from sim.compiling.threads import cores
 from sim.engine.run_keys import check_secret, new_secret
@@ -128,9 +129,9 @@ def leaderboard(
             `MISSION_BASELINES`.
         tasks: Tasks to run; default: the whole suite.
         seeds: Seeds of the episodes.
-        secret: Secret of `outrider_learning.suite.scoring.evaluate`, the same for all.
+        secret: Secret of `outrider_learning.suite.evaluation.evaluate`, the same for all.
         on_progress: Progress callback: last entry and task, completed share.
-        settings: Observation and action settings of the policies, see `outrider_learning.suite.scoring.evaluate`.
+        settings: Observation and action settings of the policies, see `outrider_learning.suite.evaluation.evaluate`.
 
     Raises:
         ValueError: If there is no entry or task, a law is unknown, or a policy returns an invalid action.

@@ -58,13 +58,13 @@ class Task:
 
     def make(self, num_envs: int, **settings: Any) -> "OutriderVectorEnv":  # noqa: ANN401 - the environment's settings
         """Return the task as `outrider.vector_env` with these settings."""
-        from outrider.envs.vector import OutriderVectorEnv  # noqa: PLC0415
+        from outrider.envs.vector import OutriderVectorEnv  # noqa: PLC0415 - it imports compiled code
 
         return OutriderVectorEnv(self.scenario, num_envs=num_envs, **settings)
 
     def make_single(self, **settings: Any) -> "SingleEnv":  # noqa: ANN401
         """Return the task as `outrider.single_env` with these settings."""
-        from outrider.envs.single import SingleEnv  # noqa: PLC0415
+        from outrider.envs.single import SingleEnv  # noqa: PLC0415 - it imports compiled code
 
         return SingleEnv(self.scenario, **settings)
 
@@ -77,8 +77,8 @@ class Task:
         secret: str | None = None,
         **settings: Any,  # noqa: ANN401 - settings of `evaluate`
     ) -> "Result":
-        """Run the task with all seeds at once, and score it, see `outrider_learning.suite.scoring.evaluate`."""
-        from outrider_learning.suite.scoring import evaluate  # noqa: PLC0415
+        """Run the task with all seeds at once, and score it, see `outrider_learning.suite.evaluation.evaluate`."""
+        from outrider_learning.suite.evaluation import evaluate  # noqa: PLC0415 - it imports compiled code
 
         return evaluate(self, entry, name=name, seeds=seeds, secret=secret, **settings)
 

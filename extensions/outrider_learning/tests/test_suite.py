@@ -14,7 +14,8 @@ from outrider.envs.closed_loop_pilots import pilot_names
 from outrider.envs.vector import OutriderVectorEnv
 from outrider.running.flying import InProcess, make_pilots, run
 from outrider_learning.suite.board import BASELINES, leaderboard, middle_cell
-from outrider_learning.suite.scoring import Team, evaluate
+from outrider_learning.suite.evaluation import evaluate
+from outrider_learning.suite.scoring import Team
 from outrider_learning.suite.tasks import SEEDS, TASKS, Suite, Task, suite
 from refusals import refused
 from sim.compiling.compile import FloatArray

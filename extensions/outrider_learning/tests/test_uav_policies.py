@@ -19,14 +19,14 @@ from bus.errors import ScenarioError
 from flights import distances
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import InProcess, fly, make_pilots
-from outrider.running.user_code import check_own_functions
+from outrider.running.own_functions import check_own_functions
 from outrider_learning.egocentric import Egocentric
 from outrider_learning.learned import LearnedPolicy
 from outrider_learning.recipe import ObservationRecipe, make_layer, observation_recipe
 from outrider_learning.repeat import ActionRepeat
 from outrider_learning.saved import SavedPolicy
 from outrider_learning.stacking import Stack
-from outrider_learning.suite.scoring import evaluate
+from outrider_learning.suite.evaluation import evaluate
 from outrider_learning.suite.tasks import TASKS
 from outrider_learning.transformation import Transformation, Transformed
 from processes import python

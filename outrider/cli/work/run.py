@@ -15,9 +15,10 @@ from outrider.cli.stopping import Stop, stop_on_signals
 from outrider.cli.summary_table import print_summary
 from outrider.running.companions import Beside, pace_with, parse_companion
 from outrider.running.launch import Outcome, Watcher, launch
+from outrider.running.own_functions import check_own_functions
 from outrider.running.parent import Output
 from outrider.running.resolve import resolve
-from outrider.running.user_code import check_code, check_own_functions
+from outrider.running.user_code import check_code
 from outrider.view.output import output_folder, write_summary
 from sim.scenario.checks import scenario_warnings
 from sim.scenario.types import Scenario

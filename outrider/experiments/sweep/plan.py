@@ -14,7 +14,8 @@ from bus.errors import ScenarioError
 from bus.registry import DRIVERS
 from outrider.experiments.sweep.columns import FIRST, RESULTS
 from outrider.experiments.sweep.definition import Block, Sweep
-from outrider.running.user_code import check_code, check_own_functions
+from outrider.running.own_functions import check_own_functions
+from outrider.running.user_code import check_code
 from sim.input.faults import one_line
 from sim.scenario.checks import scenario_warnings
 from sim.scenario.loading import load_scenario

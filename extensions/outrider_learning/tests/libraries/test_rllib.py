@@ -30,7 +30,7 @@ MAKE = {
 @pytest.mark.parametrize("kind", MAKE)
 @pytest.mark.parametrize("end", DURATIONS)
 def test_an_episode_is_the_bare_environments_to_its_end(kind, end):
-    from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
+    from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv  # noqa: PLC0415 - optional
 
     bare, env = (MAKE[kind]("escort", duration=DURATIONS[end]) for _ in range(2))
     env = ParallelPettingZooEnv(env)

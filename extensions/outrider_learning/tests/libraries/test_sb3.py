@@ -38,7 +38,7 @@ from stable_baselines3.common.vec_env import (
 import outrider
 from bus.errors import ScenarioError
 from outrider.running.flying import fly
-from outrider.running.user_code import check_own_functions
+from outrider.running.own_functions import check_own_functions
 from outrider_learning.egocentric import Egocentric
 from outrider_learning.learned import LearnedPolicy
 from outrider_learning.mlp import Mlp, load_policy, save_policy
@@ -48,7 +48,7 @@ from outrider_learning.repeat import ActionRepeat
 from outrider_learning.saved import save_sb3_policy
 from outrider_learning.sb3 import VecEnvAdapter
 from outrider_learning.stacking import Stack
-from outrider_learning.suite.scoring import evaluate
+from outrider_learning.suite.evaluation import evaluate
 from outrider_learning.suite.tasks import TASKS
 from outrider_learning.transformation import Transformed
 from pages import blocks, run_shown
