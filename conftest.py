@@ -10,6 +10,8 @@ from subprocess import CompletedProcess
 
 import pytest
 
+from bus import joining
+from outrider.cli import main
 from processes import wait_until
 
 FIRST = (
@@ -47,7 +49,6 @@ def command(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[..., "CompletedProcess[str]"]:
     """A command of ours in this process, which need not start: its exit code and what it wrote."""
-    from outrider.cli import main
 
     def call(*arguments: object) -> "CompletedProcess[str]":
         monkeypatch.setattr(sys, "argv", ["outrider", *map(str, arguments)])
@@ -80,6 +81,4 @@ def endpoint(tmp_path: Path) -> str:
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A refused client shows it by trying in vain; here not for long."""
-    from bus import joining
-
     monkeypatch.setitem(joining._CLIENT, "connect/timeout_ms", 600)

@@ -268,7 +268,7 @@ LOSING = escort(
 @pytest.fixture(scope="module")
 def lied(tmp_path_factory: pytest.TempPathFactory) -> tuple[Flight, Summary, Path]:
     pytest.importorskip("foxglove", reason="the extra [record] is not installed")
-    from observed import recorded
+    from observed import recorded  # noqa: PLC0415 - an extra
 
     path = tmp_path_factory.mktemp("lied") / "run.mcap"
     flight = recorded(path, LOSING, 3, exchange=lying(make_pilots(LOSING, 3)))
@@ -333,7 +333,7 @@ def test_trajectory_file_states_the_certificate_of_each_tick(lied, tmp_path):
 
 
 def test_recording_has_the_same_counts_and_each_ticks_claim(lied, command):
-    from outrider.recording.reader import flight_of
+    from outrider.recording.reader import flight_of  # noqa: PLC0415 - an extra
 
     _, summary, path = lied
     truths = flight_of(path).truths

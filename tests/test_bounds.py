@@ -223,9 +223,9 @@ def test_a_trace_of_many_rows_is_refused_unread(tmp_path: Path) -> None:
 )
 def test_results_are_bounded_before_they_are_unpacked(tmp_path, rows, error, wrong) -> None:
     pa = pytest.importorskip("pyarrow")
-    from pyarrow import parquet
+    from pyarrow import parquet  # noqa: PLC0415 - an extra
 
-    from outrider.experiments.sweep.folder import RESULTS, read_results
+    from outrider.experiments.sweep.folder import RESULTS, read_results  # noqa: PLC0415 - an extra
 
     batch = pa.record_batch({"run": pa.array(np.arange(1000)), "error": pa.array([error] * 1000)})
     path = tmp_path / RESULTS

@@ -9,8 +9,12 @@ from importlib.metadata import PackageNotFoundError
 import pytest
 
 from bus import plugins
+from bus.credentials import read_credential
+from bus.errors import ScenarioError
+from bus.keys import Role
 from bus.locator import Locator
 from bus.plugins import registered
+from outrider.cli.joining import credential_of
 from outrider.cli.main import COMMANDS
 from processes import outrider, python
 from tabular import rows, words
@@ -329,11 +333,6 @@ def test_credentials_are_made_once_and_each_party_gets_its_own(here, command) ->
 
 
 def test_a_password_may_come_from_the_environment(here, command, monkeypatch):
-    from bus.credentials import read_credential
-    from bus.errors import ScenarioError
-    from bus.keys import Role
-    from outrider.cli.joining import credential_of
-
     made = command("credentials", "mine", "--json")
     known = read_credential(here / json.loads(made.stdout)["files"]["uav_0"])
     assert credential_of(None, Role.UAV, "uav_0") is None

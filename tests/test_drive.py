@@ -41,6 +41,10 @@ from statuses import PRESENT, a_status, a_truth, a_vehicle
 
 pytest.importorskip("textual", reason="the extra [drive] is not installed")
 
+from textual.widgets import Static
+
+from outrider.view.terminal.screen import DriveApp, TopView
+
 CHILD = (
     "import fcntl, termios\nfcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
     "from outrider.cli import main\nmain.main()\n"
@@ -454,10 +458,6 @@ class Watching:
 
 @pytest.mark.parametrize("columns", [44, 120])
 def test_screen_of_any_width_shows_numbers_keys_and_time(columns: int) -> None:
-    from textual.widgets import Static
-
-    from outrider.view.terminal.screen import DriveApp, TopView
-
     async def shown() -> dict[str, list[str]]:
         app: Any = DriveApp(Watching(), "flight")  # type: ignore[arg-type]
         async with app.run_test(size=(80, 24)) as pilot:

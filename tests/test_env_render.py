@@ -157,7 +157,7 @@ def display(monkeypatch):
 
 
 def test_window_shows_the_same_picture(display):
-    import pygame
+    import pygame  # noqa: PLC0415 - an extra
 
     human = parallel_env(SCENARIO, render_mode="human")
     plain = parallel_env(SCENARIO, render_mode="rgb_array")
@@ -176,7 +176,7 @@ def test_window_shows_the_same_picture(display):
 
 
 def test_closed_window_stays_closed_and_the_flight_continues(display):
-    import pygame
+    import pygame  # noqa: PLC0415 - an extra
 
     env = parallel_env(SCENARIO, render_mode="human")
     env.reset(seed=0)

@@ -49,7 +49,7 @@ _STEPS = [step for step in itertools.product((-1, 0, 1), repeat=2) if step != (0
 def cautious(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.syspath_prepend(str(Path(__file__).resolve().parent.parent / "benchmarks"))
     pytest.importorskip("cautious_attacks", reason="a copy of the core alone has no benchmarks")
-    import cautious_attacks
+    import cautious_attacks  # noqa: PLC0415 - from the folder above
 
     return cautious_attacks
 

@@ -25,6 +25,7 @@ from bus.errors import ScenarioError
 from bus.messages.vehicle import UavCommand, UgvCommand
 from bus.registry import LAWS
 from flights import Piloted
+from outrider.cli import doctor
 from outrider.recording.reader import flight_of
 from outrider.recording.refly import external_uavs, restore
 from outrider.recording.writer import FlightRecorder
@@ -156,8 +157,6 @@ def test_warning_and_traceback_of_a_vehicle_are_passed_on(here, monkeypatch, com
     ],
 )
 def test_system_error_is_reported_by_its_cause(raised, phrase, monkeypatch, command):
-    from outrider.cli import doctor
-
     broken = create_autospec(doctor.command, side_effect=raised)
     monkeypatch.setattr(doctor, "command", broken)
     monkeypatch.setenv("OUTRIDER_DEBUG", "")
@@ -253,8 +252,6 @@ def test_scenario_names_that_confuse_are_refused(name, here, command) -> None:
 
 
 def test_the_doctor_finds_what_is_here_and_what_is_not(monkeypatch, command):
-    from outrider.cli import doctor
-
     monkeypatch.setattr(
         doctor, "missing", lambda extra: ("cryptography",) if extra == "tls" else ()
     )

@@ -128,7 +128,7 @@ def test_socket_folder_is_usable_below_a_hostile_one(name, tmp_path, monkeypatch
 
 def test_dead_vehicle_brakes_and_is_named_by_the_run(tmp_path: Path) -> None:
     pytest.importorskip("foxglove", reason="the extra [record] is not installed")
-    from outrider.recording.reader import statuses
+    from outrider.recording.reader import statuses  # noqa: PLC0415 - an extra
 
     recorded = tmp_path / "run.mcap"
     options = ["escort", *words("--duration 100 --no-picture --json --out"), str(tmp_path)]

@@ -436,7 +436,7 @@ def test_what_is_no_recording_gives_one_line(tmp_path, content, arguments, comma
 
 @pytest.mark.parametrize("encoding", ["json", "cdr"])
 def test_another_programs_mcap_is_refused(tmp_path: Path, encoding: str) -> None:
-    from mcap.writer import Writer
+    from mcap.writer import Writer  # noqa: PLC0415 - an extra
 
     path = tmp_path / "other.mcap"
     with path.open("wb") as file:
@@ -493,7 +493,7 @@ def test_an_observer_records_a_run_in_progress_to_the_same_bits(tmp_path, comman
 
 
 def test_a_picture_and_a_film_are_drawn(flown, tmp_path, command):
-    from PIL import Image
+    from PIL import Image  # noqa: PLC0415 - an extra
 
     for name, arguments in (("run.png", ()), ("run.gif", ("--realtime", "100", "--fps", "10"))):
         found = command("render", str(flown[0]), "-o", str(tmp_path / name), *arguments)

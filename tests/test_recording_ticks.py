@@ -12,6 +12,7 @@ from refusals import refused
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
 
+from bus.errors import ScenarioError
 from bus.messages.control import Action, Change, Control
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Law
@@ -146,10 +147,7 @@ def test_an_observer_writes_each_change_once(tmp_path: Path) -> None:
 
 
 def test_undecodable_teleoperation_is_one_line(tmp_path: Path) -> None:
-    from mcap.writer import Writer
-
-    from bus.errors import ScenarioError
-    from outrider.recording.schemas import head_of
+    from mcap.writer import Writer  # noqa: PLC0415 - an extra
 
     path = tmp_path / "bad.mcap"
     with path.open("wb") as file:

@@ -344,7 +344,7 @@ def test_failed_run_is_a_row_with_its_error(here, command, monkeypatch):
 
 def test_cluster_flies_the_same_rows(tmp_path, small_rows, command):
     """The workers are threads of this process."""
-    from distributed import LocalCluster
+    from distributed import LocalCluster  # noqa: PLC0415 - an extra
 
     changes = words("duration=5.0 --seeds 3 --jobs 2 --out")
     with LocalCluster(
@@ -358,7 +358,7 @@ def test_cluster_flies_the_same_rows(tmp_path, small_rows, command):
 
 @pytest.mark.long
 def test_cluster_survives_a_dead_worker_with_the_same_rows(undisturbed, tmp_path):
-    from distributed import LocalCluster
+    from distributed import LocalCluster  # noqa: PLC0415 - an extra
 
     with (
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
@@ -479,8 +479,8 @@ def test_a_hostile_head_is_one_line(tmp_path, change):
 
 @pytest.mark.parametrize("content", [b"", b"PAR1 and then nothing", "another table"])
 def test_damaged_results_are_named_with_what_to_do(tmp_path, content):
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+    import pyarrow as pa  # noqa: PLC0415 - an extra
+    import pyarrow.parquet as pq  # noqa: PLC0415 - an extra
 
     with SweepFolder(tmp_path / "sweep", plan_of(), command=""):
         pass

@@ -2,6 +2,7 @@
 
 import json
 import re
+import signal
 import stat
 from itertools import pairwise
 from pathlib import Path
@@ -29,6 +30,7 @@ from outrider.recording import schemas
 from outrider.recording.reader import Damage, coverages, flight_of, load, statuses
 from outrider.recording.refly import refly
 from outrider.recording.schemas import head_of
+from outrider_ros2 import ros_bag
 from outrider_ros2.bag_reader import import_bag
 from outrider_ros2.bag_records import RECORDS, RECORDS_TYPE
 from outrider_ros2.interfaces import decode, encode, make, type_hash, type_store
@@ -263,10 +265,6 @@ def test_failed_export_leaves_nothing(flown, tmp_path):
 
 
 def test_an_interrupted_command_leaves_nothing(flown, tmp_path, monkeypatch, command):
-    import signal
-
-    from outrider_ros2 import ros_bag
-
     def interrupted(recording, bag):
         for seconds in copy_flight(recording, bag):
             signal.raise_signal(signal.SIGINT)

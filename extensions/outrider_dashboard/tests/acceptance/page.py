@@ -661,7 +661,7 @@ def main() -> int:
     if lacking:
         sys.stderr.write(lacking + "\n")
         return 77
-    from playwright.sync_api import sync_playwright
+    from playwright.sync_api import sync_playwright  # noqa: PLC0415 - optional
 
     chromium = find_browser()
     if arguments.pictures is not None:
