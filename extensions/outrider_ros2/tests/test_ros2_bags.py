@@ -30,7 +30,7 @@ from outrider.recording import schemas
 from outrider.recording.reader import Damage, coverages, flight_of, load, statuses
 from outrider.recording.refly import refly
 from outrider.recording.schemas import head_of
-from outrider_ros2 import ros_bag
+from outrider_ros2 import bag_export
 from outrider_ros2.bag_reader import import_bag
 from outrider_ros2.bag_records import RECORDS, RECORDS_TYPE
 from outrider_ros2.interfaces import decode, encode, make, type_hash, type_store
@@ -270,7 +270,7 @@ def test_an_interrupted_command_leaves_nothing(flown, tmp_path, monkeypatch, com
             signal.raise_signal(signal.SIGINT)
             yield seconds
 
-    monkeypatch.setattr(ros_bag, "copy_flight", interrupted)
+    monkeypatch.setattr(bag_export, "copy_flight", interrupted)
     found = command("ros2", "export", flown.file, tmp_path / "bag")
     assert found.returncode == 128 + signal.SIGINT
     assert not list(tmp_path.iterdir())
