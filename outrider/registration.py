@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import gymnasium
 import pettingzoo  # type: ignore[import-untyped]
-from pettingzoo.utils import parallel_to_aec
+from pettingzoo.utils import parallel_to_aec  # type: ignore[import-untyped]
 
 if TYPE_CHECKING:
     from pettingzoo import AECEnv, ParallelEnv
