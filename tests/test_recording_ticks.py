@@ -21,7 +21,7 @@ from observed import Observer
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.reader import entries, flight_of, load
 from outrider.recording.refly import refly, restore
-from outrider.recording.schemas import Commands
+from outrider.recording.schemas import Commands, head_of
 from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import InProcess, make_pilots
 from sim.scenario.loading import load_scenario
