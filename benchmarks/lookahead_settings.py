@@ -15,7 +15,7 @@ from rich.progress import track
 
 from bus.law_parameters import law_parameters
 from bus.messages.scenario import Law
-from outrider.envs.closed_loop import ClosedLoop
+from outrider.closed_loop.closed_loop import ClosedLoop
 from sim.scenario.loading import load_scenario
 
 DRIVERS = ("waypoints", "wander", "evade")

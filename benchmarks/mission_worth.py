@@ -20,7 +20,7 @@ from matplotlib.lines import Line2D
 from bus.messages.links import LinkSettings
 from bus.messages.telemetry import MissionResult
 from bus.profiles import PROFILES
-from outrider.envs.closed_loop import ClosedLoop
+from outrider.closed_loop.closed_loop import ClosedLoop
 from outrider.style import INK, LIMIT, UGV, law_color, look, new_figure, save
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from bus.registry import DEFAULT_LAW, LAWS
-from outrider.envs.closed_loop import ClosedLoop
+from outrider.closed_loop.closed_loop import ClosedLoop
 from outrider.envs.worlds import Worlds
 from outrider.experiments.intervals import mean_interval
 from outrider_learning.learned import LearnedPolicy

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from llvmlite import binding
 
-from outrider.envs.closed_loop import ClosedLoop
+from outrider.closed_loop.closed_loop import ClosedLoop
 from outrider.running.flying import fly
 from sim.env.patch import CoveragePatch
 from sim.scenario.loading import load_scenario, scenario_names

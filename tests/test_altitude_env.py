@@ -15,7 +15,7 @@ from shapely import Polygon, contains_xy
 import outrider
 from agents.uav import UavPilot
 from bus.observations import ALTITUDE, UAV, by_name
-from outrider.envs.closed_loop import ClosedLoop
+from outrider.closed_loop.closed_loop import ClosedLoop
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import fly
 from sim.engine.briefing import uav_briefing
@@ -295,7 +295,8 @@ def test_ground_under_known_buildings_counts_as_covered() -> None:
     scenario = load_scenario("courtyard", overrides=["duration=2"])
     loop = ClosedLoop(scenario, 1)
     loop.begin([3])
-    own, desired = loop.state.maps[0, 0], scenario.coverage.desired
+    assert loop.pilots is not None
+    own, desired = loop.pilots.state.uavs.coverage[0, 0], scenario.coverage.desired
     cell, house = scenario.area.cell, Polygon(scenario.building[0].polygon)
     rows, columns = np.indices(own.shape)
     under = contains_xy(house, (columns + 0.5) * cell, (rows + 0.5) * cell)

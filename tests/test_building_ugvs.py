@@ -14,7 +14,7 @@ from agents.drivers.compiled import briefed_grid, update_grid
 from bus.messages.buildings import Building
 from bus.messages.ground import Hazard, MapUpdate, TileReport
 from bus.messages.vehicle import UgvObservation
-from outrider.envs.closed_loop import ClosedLoop
+from outrider.closed_loop.closed_loop import ClosedLoop
 from outrider.running.flying import fly
 from properties import PROPERTY
 from sim.engine.briefing import briefing

@@ -16,7 +16,7 @@ from bus.errors import ScenarioError
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Law
 from flights import altered
-from outrider.envs.closed_loop import ClosedLoop
+from outrider.closed_loop.closed_loop import ClosedLoop
 from outrider.running.flying import fly, make_pilots
 from sim.engine.batch import arrays_of
 from sim.env.patch import CoveragePatch
@@ -205,7 +205,8 @@ def test_ended_certificate_counts_unless_an_assumption_failed() -> None:
     )
     loop = ClosedLoop(scenario, 1, error=True)
     assert _broken(loop, [5]) == [0.0]
-    loop.tables.monitored["max_age_ticks"] += 100
+    assert loop.pilots is not None
+    loop.pilots.tables.monitored["max_age_ticks"] += 100
     assert _broken(loop, [5]) == [2.0]
     assert _broken(loop, [6]) == [2.0]  # an episode starts at tick 0
 
@@ -229,7 +230,8 @@ def test_a_broken_certificate_is_excused_by_actual_errors_alone(declared, given)
     scenario = small("certified", links=_blackouts(), certificate=declared, **given)
     seeds = [5, 6, 7, 8, 9, 10]
     loop = ClosedLoop(scenario, len(seeds), error=True)
-    loop.tables.monitored["max_age_ticks"] += 100
+    assert loop.pilots is not None
+    loop.pilots.tables.monitored["max_age_ticks"] += 100
     broken = _broken(loop, seeds)
     for k, seed in enumerate(seeds):
         record = fly(scenario, seed)[0].recorder
@@ -308,8 +310,8 @@ def test_ended_episode_restarts_like_the_first() -> None:
     for loop in (used, fresh):
         loop.fly(200)
     parts = [
-        (s.rows.standings, s.rows.uav_rows, s.rows.ugv_rows, s.patches, s.batch.coverage)
-        for s in (used.state, fresh.state)
+        (s.rows.standings, s.rows.uav_rows, s.rows.ugv_rows, loop.patch("uav_0"), s.batch.coverage)
+        for loop, s in ((used, used.state), (fresh, fresh.state))
     ]
     for one, other in zip(*parts, strict=True):
         assert one.tobytes() == other.tobytes()

@@ -12,7 +12,7 @@ import outrider
 from agents.uav import UavPilot
 from bus.messages.buildings import Building
 from bus.messages.vehicle import UavCommand, UavObservation
-from outrider.envs.closed_loop import ClosedLoop
+from outrider.closed_loop.closed_loop import ClosedLoop
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import InProcess, make_pilots
 from sim.engine.briefing import all_buildings, uav_briefing

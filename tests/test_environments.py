@@ -23,7 +23,7 @@ from gymnasium.wrappers import (
 import outrider
 from bus.errors import ScenarioError
 from bus.messages.control import Control
-from outrider.envs.closed_loop import ClosedLoop
+from outrider.closed_loop.closed_loop import ClosedLoop
 from outrider.envs.parallel import parallel_env
 from outrider.envs.single import single_env
 from outrider.envs.vector import parallel_vector_env, vector_env

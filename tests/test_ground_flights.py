@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from flights import flown_in_both
-from outrider.envs.closed_loop import ClosedLoop
+from outrider.closed_loop.closed_loop import ClosedLoop
 from outrider.running.assumptions import assumption_warnings
 from outrider.running.flying import fly
 from sim.scenario.loading import load_scenario

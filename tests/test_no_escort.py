@@ -15,7 +15,7 @@ from bus.errors import ScenarioError
 from flights import record, sha256
 from observed import recorded
 from outrider.cli.summary_table import print_summary
-from outrider.envs.closed_loop import ClosedLoop
+from outrider.closed_loop.closed_loop import ClosedLoop
 from outrider.envs.env_pilots import pilots
 from outrider.experiments.sweep.columns import row_of
 from outrider.experiments.sweep.definition import Block, Sweep

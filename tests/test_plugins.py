@@ -79,7 +79,7 @@ print(json.dumps({"refused": [refused(change) for change in sys.argv[2:]]}))
 BATCH = """
 import json, sys
 import outrider
-from outrider.envs.closed_loop import ClosedLoop
+from outrider.closed_loop.closed_loop import ClosedLoop
 
 loop = ClosedLoop(outrider.load_scenario(sys.argv[1]), 1)
 loop.begin([3])

@@ -12,7 +12,7 @@ from bus.errors import OutriderError, ScenarioError, error_with_place
 from outrider.cli.console import ERR, OUT, print_json, print_table, share_progress
 from outrider.cli.run_secret import secret_of
 from outrider.cli.standard_files import print_text
-from outrider.envs.closed_loop_pilots import pilot_names
+from outrider.closed_loop.pilots import pilot_names
 from outrider.running.user_code import load_policy
 from outrider_learning.suite.board import (
     BASELINES,

@@ -10,7 +10,7 @@ import numpy as np
 from agents.drivers.policy import RowPolicy
 from bus.errors import ScenarioError
 from bus.observations import UGV, names
-from outrider.envs.closed_loop_pilots import pilot_names
+from outrider.closed_loop.pilots import pilot_names
 from outrider.running.user_code import load_policy
 from sim.compiling.compile import FloatArray
 from sim.env.observation import AgentObservation, one_of_world

@@ -13,7 +13,7 @@ from bus.observations import (
     bounds,
     state_names,
 )
-from outrider.envs.closed_loop import ClosedLoop
+from outrider.closed_loop.closed_loop import ClosedLoop
 from sim.compiling.compile import FloatArray
 from sim.env.observation import Array
 from sim.env.spaces import box, extent_of

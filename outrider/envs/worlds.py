@@ -17,7 +17,7 @@ from agents.safety.decision import CERTIFIED, NOMINAL
 from bus.messages.links import LinkStatus
 from bus.messages.telemetry import MissionResult
 from bus.observations import as_rows
-from outrider.envs.closed_loop import ClosedLoop
+from outrider.closed_loop.closed_loop import ClosedLoop
 from outrider.envs.policies import check_others, named_policies, observed_by
 from outrider.envs.true_state import TrueState
 from outrider.running.metrics import MISSION, numbers

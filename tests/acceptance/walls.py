@@ -31,7 +31,7 @@ from shapely import affinity, ops
 
 from agents.safety.decision import CERTIFIED
 from agents.safety.levels import lowest_certified
-from outrider.envs.closed_loop import ClosedLoop
+from outrider.closed_loop.closed_loop import ClosedLoop
 from outrider_networks.scenario_bounds import bounds_for
 from sim.engine.briefing import uav_briefing
 from sim.scenario.loading import load_scenario

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from outrider.envs.closed_loop import ClosedLoop
-from outrider.envs.closed_loop_pilots import pilot_names
+from outrider.closed_loop.closed_loop import ClosedLoop
+from outrider.closed_loop.pilots import pilot_names
 from outrider.envs.worlds import Worlds
 from outrider_learning.suite.missions import evaluate_mission
 from outrider_learning.suite.scoring import (

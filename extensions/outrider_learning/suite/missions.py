@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from bus.messages.telemetry import MissionResult
-from outrider.envs.closed_loop_pilots import pilot_names
+from outrider.closed_loop.pilots import pilot_names
 from outrider.envs.worlds import Worlds
 from outrider_learning.suite.scoring import (
     Entry,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from bus.messages.vehicle import Command
+from outrider.closed_loop.closed_loop import ClosedLoop
+from outrider.closed_loop.pilots import pilot_names
 from outrider.envs import worlds
-from outrider.envs.closed_loop import ClosedLoop
-from outrider.envs.closed_loop_pilots import pilot_names
 from outrider.envs.vector import OutriderVectorEnv
 from outrider.running.flying import InProcess, make_pilots, run
 from outrider_learning.suite.board import BASELINES, leaderboard, middle_cell

@@ -29,7 +29,7 @@ from bus.messages.scenario import Law
 from bus.messages.vehicle import UavBriefing, UgvBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS, EXTERNAL, LAWS
 from bus.ticks import radio_ticks
-from outrider.envs.closed_loop_arrays import PilotParameters, Pilots, PilotState, PilotTables
+from outrider.closed_loop.arrays import PilotParameters, Pilots, PilotState, PilotTables
 from sim.channel.link_records import no_packets
 from sim.compiling.compile import IntArray
 from sim.compiling.records import RecordArray, fresh, record_type
@@ -127,6 +127,7 @@ class OwnTables(NamedTuple):
     """Tables of `PilotTables` that may differ between worlds, with one row for one world."""
 
     uavs: UavConstants
+    monitored: RecordArray
     drivers: DriverTables
     late: IntArray
 
@@ -184,7 +185,8 @@ class ChosenPilots:
         uavs, ugvs = self._briefings(scenario)
         late = np.array([[pending_rows(one) for one in ugvs]], dtype=np.int64)
         drivers = driver_tables(ugvs, self._drivers(ugvs))
-        return OwnTables(_constants(uavs, most_levels, scenario.has_altitude), drivers, late)
+        constants = _constants(uavs, most_levels, scenario.has_altitude)
+        return OwnTables(constants, constants.safety.copy(), drivers, late)
 
     def check_laws(self, scenario: Scenario) -> list[Law]:
         """Return the law of each UAV in a scenario.

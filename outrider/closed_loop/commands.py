@@ -15,7 +15,7 @@ from agents.safety.decision import CERTIFIED, NOMINAL
 from agents.safety.pending import add_plans
 from agents.uav_parameters import Target
 from agents.uav_tick import nominal_control
-from outrider.envs.closed_loop_arrays import (
+from outrider.closed_loop.arrays import (
     LoopState,
     LoopTables,
     PilotParameters,
@@ -29,7 +29,7 @@ from outrider.envs.closed_loop_arrays import (
     reference_of,
 )
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
-from sim.compiling.records import RecordArray
+from sim.compiling.records import RecordArray, row_of
 from sim.engine.ground_state import GroundState
 from sim.engine.mission import goals_of, keeps_clearance, record_claim
 from sim.engine.monitor import Claim, record_decision
@@ -77,7 +77,9 @@ def _fly(
                 ground.clearances, ground.missions[world], pilots.tables.receivers[uav]
             )
         claim = Claim(certified, reports and overridden, standing.lost, True, clear)
-        record_decision(constants.safety[0], state.certificates[world, uav], tick, claim)
+        monitored = pilots.tables.monitored
+        bounds = monitored[row_of(monitored.shape[0], world), uav]
+        record_decision(bounds, state.certificates[world, uav], tick, claim)
         one.outgoing_motion, one.outgoing_motions = add_plans(
             constants.safety[0], memory.filter.pending, tick, batch.motions[world, vehicle]
         )

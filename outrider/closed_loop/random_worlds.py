@@ -10,8 +10,8 @@ from agents.safety.levels import MOST_LEVELS
 from bus.errors import ScenarioError
 from bus.messages.scenario import Law
 from bus.registry import LAWS
-from outrider.envs.closed_loop_arrays import Pilots
-from outrider.envs.closed_loop_pilots import ChosenPilots, OwnTables
+from outrider.closed_loop.arrays import Pilots
+from outrider.closed_loop.pilots import ChosenPilots, OwnTables
 from outrider.running.assumptions import shortfalls
 from sim.compiling.compile import FloatArray, IntArray
 from sim.engine.batch import Batch

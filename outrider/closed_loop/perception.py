@@ -10,7 +10,7 @@ from agents.estimation.map_updates import (
     record_tile,
 )
 from agents.uav_tick import perceive as perceive_uav
-from outrider.envs.closed_loop_arrays import (
+from outrider.closed_loop.arrays import (
     LoopState,
     LoopTables,
     Pilots,

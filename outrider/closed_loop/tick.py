@@ -9,17 +9,16 @@ from typing import Any
 from agents.estimation.batch_filter import estimate
 from agents.uav_parameters import Target, UavParameters
 from agents.uav_tick import occlusion_of
-from outrider.envs.closed_loop_arrays import (
+from outrider.closed_loop.arrays import (
     LoopState,
     LoopTables,
     PilotParameters,
     Pilots,
-    constants_of,
     inputs_of,
     map_of,
 )
-from outrider.envs.command_tick import apply_actions, command
-from outrider.envs.perception_tick import perceive
+from outrider.closed_loop.commands import apply_actions, command
+from outrider.closed_loop.perception import perceive
 from sim.channel.link_records import ARRIVED
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined, released
 from sim.compiling.records import RecordArray, row_of
@@ -160,11 +159,13 @@ def _count_actions(
 ) -> None:
     """Count the actions of the UAVs with an active safety filter."""
     escorts, batch, counts = tables.batch.escorts, state.batch, state.certificates
+    row, monitored = row_of(pilots.tables.monitored.shape[0], world), pilots.tables.monitored
     for u in range(escorts.shape[0]):
         if pilots.tables.filtered[u]:
-            v, safety = escorts[u, 0], constants_of(pilots.tables, world, u).safety[0]
-            committed = batch.flown[world, v, 0]
-            _count_action(safety, counts[world, u], batch.vehicles[world, v], committed, tick)
+            v, committed = escorts[u, 0], batch.flown[world, escorts[u, 0], 0]
+            _count_action(
+                monitored[row, u], counts[world, u], batch.vehicles[world, v], committed, tick
+            )
 
 
 @inlined
@@ -189,9 +190,9 @@ def _count_certificates(
             record_end(counts[world, u], standings[world, v].lost, clear)
         elif pilots.tables.filtered[u]:
             come, arrived = batch.packets[world, u, ARRIVED], batch.links[world, u].arrived
-            one, safety = batch.vehicles[world, v], pilots.tables.uavs.safety
-            monitored = safety[row_of(safety.shape[0], world)]
-            _record_errors(monitored, counts[world], come, arrived, u, one, disturbed)
+            one, bounds = batch.vehicles[world, v], pilots.tables.monitored
+            row = row_of(bounds.shape[0], world)
+            _record_errors(bounds[row], counts[world], come, arrived, u, one, disturbed)
 
 
 @released

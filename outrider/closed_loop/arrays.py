@@ -78,6 +78,8 @@ class PilotTables(NamedTuple):
     """1 for each UAV with an active safety filter. Shape (UAVs,)."""
     receivers: IntArray
     """Index of the UGV that receives each UAV's radio. Shape (UAVs,)."""
+    monitored: RecordArray
+    """`SafetyBounds` by which the simulator counts each UAV's certificates. Shape (1 or worlds, UAVs)."""
     drivers: DriverTables
     scripts: FloatArray
     script_rows: IntArray

@@ -13,15 +13,15 @@ from bus.messages.decision import FilterDecision
 from bus.messages.links import LinkKind, LinkStatus
 from bus.messages.telemetry import MissionResult
 from bus.observations import UAV, names
-from outrider.envs.closed_loop_arrays import LoopState, LoopTables, Pilots, PilotState
-from outrider.envs.closed_loop_pilots import (
+from outrider.closed_loop.arrays import LoopState, LoopTables, Pilots, PilotState
+from outrider.closed_loop.pilots import (
     ChosenPilots,
     drivers_in_control,
     map_random_buildings,
     uses_radio,
 )
-from outrider.envs.closed_loop_tick import run_worlds
-from outrider.envs.drawn_worlds import DrawnWorlds, tables_of_worlds
+from outrider.closed_loop.random_worlds import DrawnWorlds, tables_of_worlds
+from outrider.closed_loop.tick import run_worlds
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
 from sim.engine.batch import Batch, Fresh
