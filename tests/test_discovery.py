@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from bus.messages.vehicle import UavCommand, UavObservation
 from outrider.closed_loop.closed_loop import ClosedLoop
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import InProcess, make_pilots
+from processes import python
 from sim.engine.briefing import all_buildings, uav_briefing
 from sim.models.camera import range_at
 from sim.scenario.loading import load_scenario
@@ -184,6 +186,17 @@ def test_copied_pilot_flies_as_the_original(flown: Flown, duplicate: Any) -> Non
     for one in flown.seen[end : end + 20]:
         assert other.act(one) == pilot.act(one)
     assert np.array_equal(other.coverage, pilot.coverage)
+
+
+def test_a_discovery_compiles_nothing_in_flight() -> None:
+    code = (
+        "from test_discovery import Flown, town\n"
+        "from agents.uav_tick import fly_law\n"
+        "seen = Flown(town()).seen\n"
+        "first = next(one.tick for one in seen if one.buildings)\n"
+        "print(first > 1, len(fly_law.signatures))"
+    )
+    assert python(code, cwd=Path(__file__).parent).stdout.split() == ["True", "1"]
 
 
 def test_a_vehicle_that_rejoins_learns_of_them_again(flown: Flown) -> None:

@@ -68,10 +68,6 @@ _FORWARD = {
 _STRICT = ("strict", "surrogateescape")
 """Error handlers of terminals, the second in the C locale, that fail on a character which the terminal cannot show."""
 _DEBUG = "OUTRIDER_DEBUG"
-_ZENOH_THREADS = (
-    "(rx: (handover: app), acc: (handover: app), net: (handover: app), app: (worker_threads: 1))"
-)
-"""Threads of a process's Zenoh session: one. By default each message wakes two threads that receive."""
 _MORE = "--debug shows the full traceback"
 
 
@@ -294,7 +290,6 @@ def run_command_line() -> int:
         os.environ[_DEBUG] = "1"
     # Workers of process pools must not import files in the user's working folder.
     os.environ["PYTHONSAFEPATH"] = "1"
-    os.environ.setdefault("ZENOH_RUNTIME", _ZENOH_THREADS)
     for stream in (
         sys.stdout,
         sys.stderr,
