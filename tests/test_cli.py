@@ -256,22 +256,6 @@ def test_ctrl_c_during_the_imports_is_one_line(tmp_path) -> None:
     assert (run.returncode, run.stdout, run.stderr) == (130, "", "outrider: interrupted\n")
 
 
-@pytest.mark.parametrize("own", ["", "(app: (worker_threads: 3))"])
-def test_a_vehicle_uses_one_zenoh_thread_unless_the_user_chooses(own: str) -> None:
-    code = (
-        "import os, sys\n"
-        "from outrider.cli import joining\n"
-        "joining.Joining.fly = lambda *_: sys.exit(print(os.environ['ZENOH_RUNTIME']))\n"
-        "sys.argv = ['outrider', 'ugv', '--connect', 'tcp/127.0.0.1:1']\n"
-        "from outrider.cli.main import main\n"
-        "main()"
-    )
-    given = {name: value for name, value in os.environ.items() if name != "ZENOH_RUNTIME"}
-    given |= {"ZENOH_RUNTIME": own} if own else {}
-    chosen = python(code, env=given).stdout.splitlines()[-1]
-    assert chosen == own if own else "app: (worker_threads: 1)" in chosen
-
-
 def test_a_file_name_that_is_no_text_is_one_line(here, command) -> None:
     run = command(*words("run --duration 1 --out"), "r\udcff")
     (line,) = run.stderr.splitlines()

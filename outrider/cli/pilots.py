@@ -1,6 +1,5 @@
 """`outrider uav` and `outrider ugv`: process of one vehicle."""
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -13,14 +12,6 @@ from outrider.cli.joining import Joining, joining
 from outrider.cli.standard_files import print_starting
 from outrider.running.parent import read_start
 from outrider.running.user_code import load_function
-
-_ZENOH_THREADS = (
-    "(rx: (handover: app), acc: (handover: app), net: (handover: app), app: (worker_threads: 1))"
-)
-"""One thread for everything that the session of a vehicle receives; by default each message wakes two.
-
-Only for processes whose readers never block that thread: a vehicle's observations make room for each other.
-"""
 
 
 def uav(
@@ -90,7 +81,6 @@ def _joining(
     child: bool,
 ) -> tuple[Joining, dict[str, str]]:
     """Return the arguments with which this vehicle joins the run, and the code that its parent names."""
-    os.environ.setdefault("ZENOH_RUNTIME", _ZENOH_THREADS)
     if not child:
         print_starting()
         return joining(role, name, connect, run, credentials, join_timeout), {}
