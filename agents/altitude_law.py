@@ -10,11 +10,11 @@ from bus.messages.vehicle import UavBriefing
 from bus.registry import ALTITUDE_LAWS
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray, fresh
-from sim.models.altitude import VerticalMotion
+from sim.models.altitude import VerticalState
 from sim.models.camera import CameraParameters
 from sim.models.sensor import SensorParameters
 from sim.models.shadows import Occlusion
-from sim.models.vehicles import Motion
+from sim.models.vehicles import State
 
 _CERTIFIED, _BEST = ALTITUDE_LAWS.index("certified"), ALTITUDE_LAWS.index("best")
 
@@ -78,8 +78,8 @@ def vertical_command(
     parameters: AltitudeParameters,
     memory: AltitudeMemory,
     tick: int,
-    here: Motion,
-    own: VerticalMotion,
+    here: State,
+    own: VerticalState,
     coverage: FloatArray,
     target: Target,
     occlusion: Occlusion | None = None,

@@ -29,10 +29,10 @@ from bus.messages.vehicle import (
     UavObservation,
     UavReport,
 )
-from bus.ticks import looks_of, radio_ticks
+from bus.ticks import detection_rows, radio_ticks
 from sim.compiling.compile import FloatArray
 from sim.compiling.records import RecordArray
-from sim.models.altitude import vertical_motion
+from sim.models.altitude import vertical_state
 from sim.models.buildings import tables_of
 from sim.models.field import coverage_error
 from sim.models.sensor import SensorParameters
@@ -79,7 +79,7 @@ class UavPilot:
         self._law = SelectedLaw(briefing, briefing.law, self._uav)
         self._vertical: RecordArray | None = None
         if briefing.altitude is not None:
-            self._vertical = vertical_motion(briefing.altitude)
+            self._vertical = vertical_state(briefing.altitude)
         self._known = [*briefing.buildings]
         self._discovered = [-1] * len(briefing.buildings)
         self._buildings = self._known_buildings()
@@ -204,7 +204,7 @@ class UavPilot:
             self.map_updates.record(observation.tile_reports)
         if self._policy is not None:
             self._policy.perceive(observation)
-        detections = looks_of(observation.detections, self._dt)
+        detections = detection_rows(observation.detections, self._dt)
         self._estimate = self.estimator.update(
             tick=tick, own_position=observation.position, detections=detections
         )

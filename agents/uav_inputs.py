@@ -7,15 +7,15 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages.vehicle import UavObservation
-from bus.ticks import Look, look_rows
+from bus.ticks import DetectionRow, detection_array
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
-from sim.models.altitude import VerticalMotion
-from sim.models.motion import NO_MOTION
-from sim.models.vehicles import Motion
+from sim.models.altitude import VerticalState
+from sim.models.trajectories import NO_TRAJECTORY
+from sim.models.vehicles import State
 
-_NO_DETECTIONS: FloatArray = np.zeros((0, len(Look._fields)))
-DETECTION: Any = Look._make(range(3))
+_NO_DETECTIONS: FloatArray = np.zeros((0, len(DetectionRow._fields)))
+DETECTION: Any = DetectionRow._make(range(3))
 """Columns of an array of detections."""
 
 
@@ -41,11 +41,11 @@ class UavInputs(NamedTuple):
     tick: int
     elapsed: int
     """Ticks since the last observation; 0: its map is not updated."""
-    own: Motion
-    vertical: VerticalMotion | None
+    own: State
+    vertical: VerticalState | None
     """Its altitude; None: all UAVs fly in the plane."""
     committed: int
-    """First tick of the trajectory executed in the last tick; NO_MOTION: none."""
+    """First tick of the trajectory executed in the last tick; NO_TRAJECTORY: none."""
     detections: FloatArray
     """Tick and p_delta [m] of each detection, see `DETECTION`. Shape (rows, 3)."""
     received: int
@@ -56,7 +56,7 @@ class UavInputs(NamedTuple):
 
 def uav_inputs(
     observation: UavObservation,
-    detections: Sequence[Look],
+    detections: Sequence[DetectionRow],
     *,
     elapsed: int = 0,
     vertical: RecordArray | None = None,
@@ -66,22 +66,22 @@ def uav_inputs(
 
     Args:
         observation: The message.
-        detections: Its detections, from `bus.ticks.looks_of`.
+        detections: Its detections, from `bus.ticks.detection_rows`.
         elapsed: Ticks since the last observation.
-        vertical: `VerticalMotion`, in which the altitude is recorded; None: the UAV flies in the plane. Shape (1,).
+        vertical: `VerticalState`, in which the altitude is recorded; None: the UAV flies in the plane. Shape (1,).
         buildings: Known buildings.
     """
     if vertical is not None and observation.altitude is not None:
         vertical["altitude"], vertical["rate"] = observation.altitude, observation.climb_rate
     rows, committed = _NO_DETECTIONS, observation.committed_trajectory
     if detections:
-        rows = look_rows(detections)
+        rows = detection_array(detections)
     return UavInputs(
         tick=observation.tick,
         elapsed=elapsed,
-        own=Motion(*observation.position, *observation.velocity),
+        own=State(*observation.position, *observation.velocity),
         vertical=None if vertical is None else vertical[0],
-        committed=NO_MOTION if committed is None else committed,
+        committed=NO_TRAJECTORY if committed is None else committed,
         detections=rows,
         received=len(rows),
         buildings=buildings,

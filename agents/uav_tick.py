@@ -20,7 +20,7 @@ from agents.uav_parameters import Target, UavParameters
 from sim.compiling.compile import FloatArray, compiled, inlined
 from sim.compiling.dispatch import unless_none
 from sim.compiling.records import RecordArray
-from sim.models.altitude import VerticalMotion
+from sim.models.altitude import VerticalState
 from sim.models.buildings import cover_footprint
 from sim.models.camera import sensor_at
 from sim.models.field import accumulate
@@ -47,7 +47,7 @@ def _seen_from(buildings: KnownBuildings, z: float) -> Occlusion:
 
 
 @compiled
-def _altitude_of(vertical: VerticalMotion | None) -> float:
+def _altitude_of(vertical: VerticalState | None) -> float:
     return 0.0 if vertical is None else vertical.altitude
 
 
@@ -60,14 +60,14 @@ def occlusion_of(inputs: UavInputs) -> Occlusion | None:
 
 @compiled
 def _adjust_sensor(
-    uav: UavParameters, altitude: RecordArray | None, vertical: VerticalMotion | None
+    uav: UavParameters, altitude: RecordArray | None, vertical: VerticalState | None
 ) -> None:
     """Set the sensor to the altitude of the UAV."""
     if altitude is not None and vertical is not None and vertical.flies:
         own: AltitudeParameters = altitude[0]
         found = sensor_at(own.sensor, own.camera, vertical.altitude)
         sensor: Any = uav.sensor
-        sensor.peak, sensor.reach = found.peak, found.reach
+        sensor.peak, sensor.sensing_range = found.peak, found.sensing_range
 
 
 @compiled
@@ -113,7 +113,7 @@ def perceive(constants: UavConstants, memory: UavMemory, inputs: UavInputs, filt
 def _climb(
     altitude: RecordArray | None,
     memory: RecordArray | None,
-    vertical: VerticalMotion | None,
+    vertical: VerticalState | None,
     uav: UavParameters,
     coverage: FloatArray,
     inputs: UavInputs,

@@ -46,13 +46,13 @@ from agents.drivers.navigate_parameters import PLAN_TILES
 from agents.drivers.pending_stops import PLAIN, state_ahead, store_command, update_claim
 from agents.drivers.planning import continue_search, start_search
 from agents.drivers.tile_map import OccupancyGrid, occupancy_grid, record_block, record_tiles
-from sim.models.ground import CERTIFIED, CLEAR, NO_CLAIM, UNSEEN, WAY_UNKNOWN, TileArray
+from sim.models.ground import CERTIFIED, CLEAR, NO_CLAIM, PATH_UNKNOWN, UNSEEN, TileArray
 from sim.models.hazards import BLOCK, FOUND, TOUCH
-from sim.models.motion import NO_MOTION
-from sim.models.vehicles import Motion, brake, clip_norm, norm, step_vehicle, within_walls
+from sim.models.trajectories import NO_TRAJECTORY
+from sim.models.vehicles import State, brake, clip_norm, norm, step_vehicle, within_walls
 
 RUNS = 10_000
-Check = Callable[[Ugv, bool, TileArray, Open, Motion, float, float], bool]
+Check = Callable[[Ugv, bool, TileArray, Open, State, float, float], bool]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,7 +122,7 @@ class Teller:
 
 
 def _wanted(
-    trial: Trial, rng: np.random.Generator, before: tuple[float, float], here: Motion
+    trial: Trial, rng: np.random.Generator, before: tuple[float, float], here: State
 ) -> tuple[float, float]:
     """Return the adversary's nominal control [m/s²]: straight on, a sharp turn, or anything."""
     u = min(trial.parameters.max_acceleration, trial.parameters.max_speed / trial.parameters.dt)
@@ -150,7 +150,7 @@ class Receiver:
         self._coming: dict[int, list[tuple[int, int, float, float]]] = {}
         self._there: dict[int, tuple[int, float, float]] = {}
         self._share, self._silent = rng.choice([0.05, 0.3, 0.8]), 0
-        self.flown = NO_MOTION
+        self.flown = NO_TRAJECTORY
         """Committed trajectory, by the tick at which it started."""
 
     def send(self, tick: int) -> None:
@@ -168,7 +168,7 @@ class Receiver:
         late = int(self._rng.integers(0, self._delay + 3))  # at most two ticks too late
         self._coming.setdefault(tick + late, []).extend(packet)
 
-    def act(self, tick: int, here: Motion, parameters: Ugv) -> tuple[float, float]:
+    def act(self, tick: int, here: State, parameters: Ugv) -> tuple[float, float]:
         """Return the command of this tick [m/s²]: the due trajectory's if it arrived and its parent is committed."""
         for begins, parent, u_x, u_y in self._coming.pop(tick, []):
             if begins >= tick:
@@ -181,7 +181,7 @@ class Receiver:
 
 
 def _filtered_by(
-    check: Check | None, trial: Trial, memory: OccupancyGrid, tick: int, here: Motion,
+    check: Check | None, trial: Trial, memory: OccupancyGrid, tick: int, here: State,
     wanted: tuple[float, float], flown: int,
 ) -> tuple[float, float]:  # fmt: skip
     """Return the nominal control if it is safe, else the braking one: by the filter, or by another check."""
@@ -225,10 +225,10 @@ def fly(
     )
     teller = Teller(trial, memory, rng)
     known = np.full(trial.truth.shape, LATER)
-    here, way, tick = Motion(*trial.start, 0.0, 0.0), 0.0, 0
+    here, way, tick = State(*trial.start, 0.0, 0.0), 0.0, 0
     queue, states, wanted = [(0.0, 0.0)] * trial.delay, [here], (0.0, 0.0)
     receiver = Receiver(memory, rng) if lossy else None
-    flown = PLAIN if receiver is None else NO_MOTION
+    flown = PLAIN if receiver is None else NO_TRAJECTORY
     last, reached = trial.goals[-1], False
     claim, broken = NO_CLAIM, 0
     for tick in range(trial.ticks):
@@ -245,7 +245,7 @@ def fly(
             wanted = _wanted(trial, rng, wanted, here)
             u = _filtered_by(check, trial, memory, tick, here, wanted, flown)
         before, claim = claim, int(memory.flags[0]["claim"])
-        broken += before == CERTIFIED and claim == WAY_UNKNOWN
+        broken += before == CERTIFIED and claim == PATH_UNKNOWN
         queue.append(u)
         u_x, u_y = queue.pop(0)
         if receiver is not None:
@@ -263,7 +263,7 @@ def fly(
             within_walls(y, v_y, parameters.height),
         )
         way += math.dist((x, y), here[:2])
-        here = Motion(x, y, v_x, v_y)
+        here = State(x, y, v_x, v_y)
         states.append(here)
     near = int(near_ticks(trial, states).sum()) if trial.clearance > 0.0 else 0
     entered = int(entered_ticks(trial, known, states).sum())
@@ -288,16 +288,14 @@ def is_reachable(trial: Trial) -> bool:
     return bool(np.isfinite(memory.cost[tiles]).all())
 
 
-def _brakes_short(
-    ugv: Ugv, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
-) -> bool:
+def _brakes_short(ugv: Ugv, late: bool, t: TileArray, ground: Open, here: State, *u: float) -> bool:
     kept = clip_norm(*u, ugv.max_acceleration)
     return is_safe(
         changed(ugv, max_acceleration=1.25 * ugv.max_acceleration), late, t, ground, here, *kept
     )
 
 
-def _after(ugv: Ugv, here: Motion, u_x: float, u_y: float) -> tuple[tuple[float, float], ...]:
+def _after(ugv: Ugv, here: State, u_x: float, u_y: float) -> tuple[tuple[float, float], ...]:
     """Return the positions at the end of the tick and at the stop after it [m]."""
     x, y, w_x, w_y, _, _ = step_vehicle(
         *here, u_x, u_y, ugv.max_speed, ugv.max_acceleration, ugv.dt
@@ -308,7 +306,7 @@ def _after(ugv: Ugv, here: Motion, u_x: float, u_y: float) -> tuple[tuple[float,
 
 
 def _forgets_corners(
-    ugv: Ugv, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
+    ugv: Ugv, late: bool, t: TileArray, ground: Open, here: State, *u: float
 ) -> bool:
     """Check the tiles of some points of the path only."""
     there, end = _after(ugv, here, *u)
@@ -326,7 +324,7 @@ def _forgets_corners(
 
 
 def _takes_the_chord(
-    ugv: Ugv, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
+    ugv: Ugv, late: bool, t: TileArray, ground: Open, here: State, *u: float
 ) -> bool:
     """Approximate the path within a tick by a straight line."""
     there, end = _after(ugv, here, *u)
@@ -339,7 +337,7 @@ def _takes_the_chord(
 
 
 def _looks_only_at_now(
-    ugv: Ugv, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
+    ugv: Ugv, late: bool, t: TileArray, ground: Open, here: State, *u: float
 ) -> bool:
     """Check braking from the current state, not from the state after the command."""
     return is_safe(
@@ -443,14 +441,14 @@ def _slowest_tick(most: int, ticks: int = 600) -> str:
         draw_trial(3, wheel="plan", calm=True).parameters, width=200.0, height=200.0, tile=0.5, dt=0.05, max_speed=1.0,
         max_acceleration=0.5, plan_ticks=4, bold=1, plan_tiles=most,
     )  # fmt: skip
-    here = Motion(1.0, 1.0, 0.0, 0.0)
+    here = State(1.0, 1.0, 0.0, 0.0)
     for tick in range(ticks):
         state = np.array([(CLEAR, FOUND)[tick % 2]], np.uint8)
         record_tiles(memory, np.array([399]), np.array([399]), state)
         began = time.perf_counter()
         u = navigate_control(parameters, memory, goals, tick, here, PLAIN)
         took.append(1e3 * (time.perf_counter() - began))
-        here = Motion(
+        here = State(
             *step_vehicle(
                 *here, *u, parameters.max_speed, parameters.max_acceleration, parameters.dt
             )[:4]
@@ -475,10 +473,10 @@ def speed() -> Iterator[str]:
     trial = draw_trial(3, wheel="plan", calm=True)
     parameters, memory = trial.parameters, occupancy_grid(*trial.truth.shape)
     memory.tiles[:] = trial.truth
-    here, began, ticks = Motion(*trial.start, 0.0, 0.0), time.perf_counter(), 5000
+    here, began, ticks = State(*trial.start, 0.0, 0.0), time.perf_counter(), 5000
     for tick in range(ticks):
         u = navigate_control(parameters, memory, trial.goals, tick, here, PLAIN)
-        here = Motion(
+        here = State(
             *step_vehicle(
                 *here, *u, parameters.max_speed, parameters.max_acceleration, parameters.dt
             )[:4]

@@ -40,7 +40,7 @@ from bus.messages.scenario import Area, Limits
 from bus.messages.vehicle import Teleoperation, UgvBriefing, UgvCommand, UgvObservation
 from sim.models.ground import UNSEEN, TileArray
 from sim.models.hazards import BLOCK
-from sim.models.vehicles import Motion, brake, step_vehicle, within_walls
+from sim.models.vehicles import State, brake, step_vehicle, within_walls
 
 RUNS = 10_000
 _OTHERS = ("teleop", "teleop", "waypoints", "wander")
@@ -94,7 +94,7 @@ class Link:
             late = int(self._rng.integers(0, late + 2))
         self._coming.setdefault(tick + late, []).append(command)
 
-    def act(self, tick: int, here: Motion, u_max: float, dt: float) -> tuple[float, float]:
+    def act(self, tick: int, here: State, u_max: float, dt: float) -> tuple[float, float]:
         """Return the acceleration of this tick [m/s²]."""
         for command in self._coming.pop(tick, []):
             for one in command.backup_trajectories:
@@ -225,7 +225,7 @@ def _operated(flight: Flight, rng: np.random.Generator) -> tuple[Teleoperation, 
     return (Teleoperation(operator="operator", velocity=velocity),)
 
 
-def _near_house(flight: Flight, states: list[Motion]) -> npt.NDArray[np.bool_]:
+def _near_house(flight: Flight, states: list[State]) -> npt.NDArray[np.bool_]:
     """Return the ticks with a point of the path nearer to a mapped building than the clearance. Shape (ticks,)."""
     x, y = path_points(flight.trial, states)
     near = np.zeros(len(x), bool)
@@ -237,14 +237,14 @@ def _near_house(flight: Flight, states: list[Motion]) -> npt.NDArray[np.bool_]:
     return near
 
 
-def _moved(flight: Flight, here: Motion, u: tuple[float, float], share: float) -> Motion:
+def _moved(flight: Flight, here: State, u: tuple[float, float], share: float) -> State:
     """Return the state after a tick with a command [m/s²], at this share of the maximum speed."""
     ugv = flight.trial.parameters
     x, y, v_x, v_y, _, _ = step_vehicle(
         *here, *u, ugv.max_speed * share, ugv.max_acceleration, ugv.dt
     )
     (x, v_x), (y, v_y) = within_walls(x, v_x, ugv.width), within_walls(y, v_y, ugv.height)
-    return Motion(x, y, v_x, v_y)
+    return State(x, y, v_x, v_y)
 
 
 class Record:
@@ -254,12 +254,12 @@ class Record:
         shape = flight.trial.truth.shape
         self._flight = flight
         self._since, self._blocked = np.full(shape, LATER), np.full(shape, LATER)
-        self.states = [Motion(*flight.trial.start, 0.0, 0.0)]
+        self.states = [State(*flight.trial.start, 0.0, 0.0)]
         self._claims: list[str] = []
         self._drivers: list[str] = []
 
     def add(
-        self, tick: int, known: TileArray, driver: str, answer: UgvCommand, there: Motion
+        self, tick: int, known: TileArray, driver: str, answer: UgvCommand, there: State
     ) -> None:
         """Record a tick, and the state after it."""
         report = answer.report
@@ -363,7 +363,7 @@ def draw_flight(seed: int) -> Flight:
 def _is_near(flight: Flight, tiles: float) -> bool:
     """Return whether the start is nearer to a building than the clearance plus this many tiles."""
     kept = flight.kept + tiles * float(flight.trial.parameters.tile)
-    here = [Motion(*flight.trial.start, 0.0, 0.0)] * 2
+    here = [State(*flight.trial.start, 0.0, 0.0)] * 2
     return bool(_near_house(dataclasses.replace(flight, kept=kept), here).any())
 
 

@@ -12,7 +12,7 @@ from sim.compiling.compile import FloatArray
 from sim.compiling.records import records
 from sim.models.ground import CLEAR, TileArray
 from sim.models.hazards import BLOCK, FOUND, ROUGH
-from sim.models.vehicles import Motion
+from sim.models.vehicles import State
 
 LATER = 1 << 40
 """Tick later than any in a run."""
@@ -181,7 +181,7 @@ def is_rough(trial: Trial, x: float, y: float) -> bool:
     )
 
 
-def path_points(trial: Trial, states: list[Motion]) -> tuple[FloatArray, FloatArray]:
+def path_points(trial: Trial, states: list[State]) -> tuple[FloatArray, FloatArray]:
     """Return points of the path [m]: x and y. Shape (ticks, points)."""
     track = np.array(states)
     a, b, dt = track[:-1], track[1:], trial.parameters.dt
@@ -197,7 +197,7 @@ def path_points(trial: Trial, states: list[Motion]) -> tuple[FloatArray, FloatAr
     return points[0], points[1]
 
 
-def near_ticks(trial: Trial, states: list[Motion]) -> npt.NDArray[np.bool_]:
+def near_ticks(trial: Trial, states: list[State]) -> npt.NDArray[np.bool_]:
     """Return the ticks with a point of the path within the clearance of a blocked tile. Shape (ticks,)."""
     x, y = path_points(trial, states)
     s, near = trial.parameters.tile, np.zeros(len(x), bool)
@@ -211,7 +211,7 @@ def near_ticks(trial: Trial, states: list[Motion]) -> npt.NDArray[np.bool_]:
 def entered_ticks(
     trial: Trial,
     known: npt.NDArray[np.int64],
-    states: list[Motion],
+    states: list[State],
     blocked: npt.NDArray[np.int64] | None = None,
 ) -> npt.NDArray[np.bool_]:
     """Return the ticks with a point of the path in a closed tile not known to be drivable at the tick's start.

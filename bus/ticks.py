@@ -26,7 +26,7 @@ RADIO_PERIOD = 0.2
 """Time between two radio messages with relative information [s]."""
 
 
-class Look(NamedTuple):
+class DetectionRow(NamedTuple):
     """Detection in ticks, the internal form."""
 
     taken: int
@@ -53,14 +53,16 @@ def tick_of(time: float, dt: float) -> int:
     return tick if abs(ticks - tick) <= TICK_TOLERANCE else NO_TICK
 
 
-def looks_of(detections: Iterable[Detection | RelativeInformation], dt: float) -> tuple[Look, ...]:
+def detection_rows(
+    detections: Iterable[Detection | RelativeInformation], dt: float
+) -> tuple[DetectionRow, ...]:
     """Return the relative positions of a message; dt is the duration of a tick [s]."""
-    return tuple(Look(tick_of(one.time, dt), *one.relative_position) for one in detections)
+    return tuple(DetectionRow(tick_of(one.time, dt), *one.relative_position) for one in detections)
 
 
-def look_rows(looks: Sequence[Look]) -> npt.NDArray[np.float64]:
-    """Return relative positions in the columns of `Look`, for compiled code. Shape (looks, 3)."""
-    return np.array(looks, dtype=np.float64).reshape(-1, len(Look._fields))
+def detection_array(looks: Sequence[DetectionRow]) -> npt.NDArray[np.float64]:
+    """Return relative positions in the columns of `DetectionRow`, for compiled code. Shape (looks, 3)."""
+    return np.array(looks, dtype=np.float64).reshape(-1, len(DetectionRow._fields))
 
 
 def radio_ticks(dt: float) -> int:

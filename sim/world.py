@@ -26,14 +26,14 @@ from sim.engine.world_tick import measure
 from sim.models.ground import (
     CERTIFIED,
     NO_CLAIM,
+    PATH_UNKNOWN,
     UNCERTIFIED,
-    WAY_UNKNOWN,
     TileArray,
     block_letters,
     tile_states,
 )
-from sim.models.motion import NO_MOTION, keep_motion, received_motion
 from sim.models.randomness import BUILDING_FIELDS
+from sim.models.trajectories import NO_TRAJECTORY, keep_trajectory, received_trajectory
 from sim.scenario.building_tables import run_buildings
 from sim.scenario.types import LinkTable, Scenario, Uav
 
@@ -127,7 +127,7 @@ class World:
 
     @property
     def vertical(self) -> RecordArray:
-        """`sim.models.altitude.VerticalMotion` of each vehicle. Shape (vehicles,)."""
+        """`sim.models.altitude.VerticalState` of each vehicle. Shape (vehicles,)."""
         vertical: RecordArray = self.vehicles["vertical"]
         return vertical
 
@@ -222,7 +222,7 @@ class World:
         vehicle: int,
         answered: int,
         acceleration: tuple[float, float],
-        motions: Sequence[BackupTrajectory] = (),
+        trajectories: Sequence[BackupTrajectory] = (),
         vertical: float = 0.0,
     ) -> None:
         """Send a vehicle's command to its actuators in the next tick; at most one per tick.
@@ -231,18 +231,18 @@ class World:
             vehicle: Row of the vehicle.
             answered: Tick whose observation it answers.
             acceleration: Acceleration [m/s²].
-            motions: Backup trajectories in the command, one per tick, oldest first. Without a receiver for them, the
-                acceleration is executed.
+            trajectories: Backup trajectories in the command, one per tick, oldest first. Without a receiver for them,
+                the acceleration is executed.
             vertical: Vertical acceleration of a UAV with an altitude [m/s²].
         """
         row = self.vehicles[vehicle]
         row["outgoing_tick"], row["outgoing"] = answered, acceleration
-        row["outgoing_motion"] = motions[-1].begins if motions else -1
-        row["outgoing_motions"] = len(motions)
+        row["outgoing_trajectory"] = trajectories[-1].begins if trajectories else -1
+        row["outgoing_trajectories"] = len(trajectories)
         row["vertical"]["outgoing"] = vertical
-        kept = self._batch.state.motions[self._number, vehicle]
-        for motion in motions:
-            keep_motion(kept, received_motion(motion)[0], self.tick)
+        kept = self._batch.state.trajectories[self._number, vehicle]
+        for motion in trajectories:
+            keep_trajectory(kept, received_trajectory(motion)[0], self.tick)
 
     def seen_ground(self, vehicle: int) -> tuple[TileReport, ...]:
         """Return the tiles that a vehicle's own sensor has reported since the previous tick."""
@@ -296,7 +296,7 @@ class World:
             return
         claim = NO_CLAIM
         if report is not None:
-            claim = CERTIFIED if report.certified else _CODES.get(report.uncertified, WAY_UNKNOWN)
+            claim = CERTIFIED if report.certified else _CODES.get(report.uncertified, PATH_UNKNOWN)
         ugv = int(np.flatnonzero(self.ground.ugvs == vehicle)[0])
         record_claim(self.ground.missions[0], ugv, claim)
 
@@ -325,7 +325,7 @@ class World:
     def flown(self, vehicle: int) -> int | None:
         """Return the first tick of the trajectory that a vehicle executes; None: no trajectory."""
         begins = int(self._batch.state.flown[self._number, vehicle, 0]["begins"])
-        return None if begins == NO_MOTION else begins
+        return None if begins == NO_TRAJECTORY else begins
 
     def advance(self) -> None:
         """Advance by one tick: send the commands; each vehicle executes the newest one that has arrived.

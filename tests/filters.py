@@ -19,12 +19,12 @@ from agents.estimation.motion_model import (
 )
 from bus.messages.scenario import Detector, Estimator, Limits
 from bus.messages.vehicle import Detection
-from bus.ticks import looks_of
+from bus.ticks import detection_rows
 from seeded import a_key
 from sim.compiling.compile import released
 from sim.compiling.records import records
 from sim.models.randomness import DETECTION_NOISE, cut_normal_vector
-from sim.models.vehicles import Motion
+from sim.models.vehicles import State
 
 DT = 0.05
 
@@ -67,7 +67,7 @@ def _filter(parameters, rows, own, arrived, detections, states, axes, innovation
     p, depth = parameters[0], rows.shape[2] - 1
     for k in range(own.shape[0]):
         first, last = arrived[k], arrived[k + 1]
-        here = Motion(own[k, 0], own[k, 1], 0.0, 0.0)
+        here = State(own[k, 0], own[k, 1], 0.0, 0.0)
         update(p, rows, (0, 0), k, here, detections[first:last], last - first)
         now, prior = rows[0, 0, 0], rows[0, 0, 1 + k % depth]
         if now.known:
@@ -110,7 +110,7 @@ def updated(estimator, tick, seen=None, own=(0.0, 0.0), dt=DT) -> Estimate | Non
         detections = (
             Detection(time=tick * dt, relative_position=(own[0] - seen[0], own[1] - seen[1])),
         )
-    return estimator.update(tick=tick, own_position=own, detections=looks_of(detections, dt))
+    return estimator.update(tick=tick, own_position=own, detections=detection_rows(detections, dt))
 
 
 @functools.cache

@@ -25,7 +25,7 @@ from sim.compiling.records import record_type
 from sim.engine.briefing import briefing
 from sim.engine.monitor import NEVER, ArrivalRecord
 from sim.engine.world_state import Vehicle
-from sim.models.motion import NO_MOTION, no_motions
+from sim.models.trajectories import NO_TRAJECTORY, no_trajectories
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, LinkTable, Scenario, Ugv
 from sim.server.assurance import Assurance
@@ -99,7 +99,7 @@ def record_tick(
     evidence = (
         np.zeros(1, record_type(ArrivalRecord)),
         np.zeros(2, record_type(Vehicle)),
-        no_motions(2),
+        no_trajectories(2),
     )
     evidence[0]["newest"] = max((taken for taken, _ in seen), default=NEVER)
     evidence[0]["error"] = max((error for _, error in seen), default=0.0)
@@ -171,7 +171,7 @@ NO_EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
         {AT: {"arrivals": [(AT - 10, 0.0), (AT - 30, 0.0)]}},
         {},
     ),
-    "a motion went on long before": ({1: {"flown": NO_MOTION}}, {}),
+    "a motion went on long before": ({1: {"flown": NO_TRAJECTORY}}, {}),
     "a bare acceleration acts at once": (every(bare=True), {"max_command_delay": 0.0}),
     "a detection that was new enough, and that it has seen": (
         every(12, arrivals=[]) | {0: {}, 3: {"arrivals": [(3, 0.0)]}},

@@ -7,7 +7,7 @@ import pytest
 
 from bus.messages.links import LinkKind
 from bus.profiles import PROFILES
-from bus.ticks import looks_of
+from bus.ticks import detection_rows
 from flights import escort
 from sim.channel.link_records import ARRIVED
 from sim.compiling.threads import WorkerThreads
@@ -66,7 +66,7 @@ def _same(batch: Batch, worlds: list[World]) -> None:
     for k, world in enumerate(worlds):
         assert s.ticks[k] == world.tick
         for u in range(len(world.uavs)):
-            received = looks_of(world.received(u), world.parameters.dt)
+            received = detection_rows(world.received(u), world.parameters.dt)
             packets = s.packets[k, u, ARRIVED, : s.links["arrived"][k, u]]
             found = np.column_stack([packets["stamp"], packets["vector"]])
             assert found.tolist() == [list(one) for one in received]

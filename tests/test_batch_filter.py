@@ -16,11 +16,11 @@ from agents.estimation.motion_model import (
     truncated_variance,
 )
 from bus.messages.scenario import Detector, Estimator, Limits
-from bus.ticks import Look
+from bus.ticks import DetectionRow
 from filters import FREE, UGV
 from sim.compiling.compile import released
 from sim.compiling.records import records
-from sim.models.vehicles import Motion
+from sim.models.vehicles import State
 
 AGILE = Limits(max_speed=2.0, max_acceleration=None)
 UNKNOWN = Limits(max_speed=None, max_acceleration=None)
@@ -112,7 +112,7 @@ def _arrivals(case, own, ugv, rng):
 
 @released
 def _step(parameters, rows, tick, x, y, detections, count):
-    update(parameters[0], rows, (0, 0), tick, Motion(x, y, 0.0, 0.0), detections, count)
+    update(parameters[0], rows, (0, 0), tick, State(x, y, 0.0, 0.0), detections, count)
     return estimate(rows, 0, 0)
 
 
@@ -139,7 +139,7 @@ def test_equals_the_pilots_filter_step_by_step(name):
         arrived = np.array([*at[k], (math.nan, 1.0, 1.0)])  # the last row has not arrived
         target = _step(parameters, rows, k, p_x, p_y, arrived, len(at[k]))
         estimated = pilots.update(
-            tick=k, own_position=(p_x, p_y), detections=[Look(*one) for one in at[k]]
+            tick=k, own_position=(p_x, p_y), detections=[DetectionRow(*one) for one in at[k]]
         )
         now = rows[0, 0, 0]
         assert target.known == (estimated is not None), k

@@ -12,7 +12,7 @@ from bus.messages.scenario import Area, Law
 from flights import DT, R_V, U_A, V_A, escort, tracks
 from outrider.running.flying import fly
 from properties import PROPERTY
-from sim.models.vehicles import Motion, norm, step_vehicle
+from sim.models.vehicles import State, norm, step_vehicle
 from sim.scenario.types import Detections, Uav, Ugv
 
 WIDTH, HEIGHT = 16.0, 12.0
@@ -28,7 +28,7 @@ def test_safety_distance_exceeds_the_papers_by_two_ticks_at_most() -> None:
 
 
 def _kept(u, p, v):
-    return keep_off_border(*u, Motion(*p, *v), 10.0, WIDTH, HEIGHT, MARGIN, DT)
+    return keep_off_border(*u, State(*p, *v), 10.0, WIDTH, HEIGHT, MARGIN, DT)
 
 
 inside = st.tuples(st.floats(MARGIN, WIDTH - MARGIN), st.floats(MARGIN, HEIGHT - MARGIN))
@@ -67,7 +67,7 @@ def test_no_command_crosses_the_border(seed, course, k_v):
             direction = rng.normal(course, 1.0)
         w_x, w_y = V_A * math.cos(direction), V_A * math.sin(direction)
         u = coverage_control(w_x - state[2], w_y - state[3], k_v)
-        u = keep_off_border(*u, Motion(*state), k_v, WIDTH, HEIGHT, MARGIN, DT)
+        u = keep_off_border(*u, State(*state), k_v, WIDTH, HEIGHT, MARGIN, DT)
         *state, _, _ = step_vehicle(*state, *u, V_A, U_A, DT)
         assert 0.0 < state[0] < WIDTH
         assert 0.0 < state[1] < HEIGHT

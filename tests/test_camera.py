@@ -65,4 +65,4 @@ def test_sensor_at_a_height() -> None:
     assert same == (0, 1.2, 5.0)
     assert high == (0, pytest.approx(0.3), 5.0)
     assert sensor_quality(high, 0.0) == pytest.approx(0.3)
-    assert sensor_quality(low, low.reach**2) == 0.0
+    assert sensor_quality(low, low.sensing_range**2) == 0.0

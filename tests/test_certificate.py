@@ -20,9 +20,9 @@ from flights import DECLARED_BOUNDS, DT, R_S, R_V, U_A, V_A, V_G, certified
 from properties import PROPERTY
 from sim.compiling.compile import FloatArray
 from sim.compiling.records import RecordArray
-from sim.models.motion import no_motions
 from sim.models.safety import SafetyBounds, tick_sagitta
-from sim.models.vehicles import Motion, norm, step_vehicle
+from sim.models.trajectories import no_trajectories
+from sim.models.vehicles import State, norm, step_vehicle
 
 NUMBERS: dict[str, Any] = DECLARED_BOUNDS | {"eps": 0.3, "age": 5.0}
 
@@ -281,7 +281,7 @@ def test_the_shipped_numbers() -> None:
 def test_the_servo_keeps_the_bound_and_stops_at_its_point(p_x, p_y, share, angle, z_x, z_y):
     v_x, v_y = share * V_A * math.cos(angle), share * V_A * math.sin(angle)
     for _ in range(800):
-        u_x, u_y = c.servo(Motion(p_x, p_y, v_x, v_y), z_x, z_y, V_A, U_A, DT)
+        u_x, u_y = c.servo(State(p_x, p_y, v_x, v_y), z_x, z_y, V_A, U_A, DT)
         assert norm(u_x, u_y) <= U_A * (1.0 + 1e-12)
         p_x, p_y, v_x, v_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, V_A, U_A, DT)
     assert norm(p_x - z_x, p_y - z_y) < 0.05
@@ -294,7 +294,7 @@ def ticks_left(memory: RecordArray) -> int:
 
 def last_seen_in(x: float, y: float, radius: float, tick: int) -> RecordArray:
     """Return a memory without a plan whose last checked disc is this one."""
-    memory = no_motions(1)
+    memory = no_trajectories(1)
     c.set_end(memory, discs.Disc(x, y, radius, tick))
     return memory
 
@@ -342,8 +342,8 @@ def test_plan_keeps_every_possible_ugv_in_sight(
         *((*(g + last), norm(last[0], last[1])) if seed % 5 else (*centre, math.inf)), NOW
     )
     make = c.stop_from if kind == "stop" else c.return_from
-    known = discs.known_discs(q, detections, c.end_disc(memory), 1, NOW, Motion(*state))
-    if not make(q, known, memory, NOW, Motion(*state)):
+    known = discs.known_discs(q, detections, c.end_disc(memory), 1, NOW, State(*state))
+    if not make(q, known, memory, NOW, State(*state)):
         return
     distances = fly_plan(q, memory, state, g)
     assert max(distances) < R_V
@@ -364,7 +364,7 @@ def test_handover_at_rest_reaches_every_later_detection(
     way = far * min(q.handover_bound + 2.0 * eps - rho, radius + rho)
     memory = last_seen_in(7.0, 7.0, radius, NOW)
     z = (7.0 + way * math.cos(where), 7.0 + way * math.sin(where), NOW - young_ticks)
-    here = Motion(7.0, 7.0, 0.0, 0.0)
+    here = State(7.0, 7.0, 0.0, 0.0)
     known = discs.known_discs(q, seen(z, eps=eps), c.end_disc(memory), 0, NOW, here)
     assert c.return_from(q, known, memory, NOW, here)
 
@@ -380,7 +380,7 @@ def test_within_the_certified_radius_every_inner_control_acts(
     v_x, v_y = share * V_A * math.cos(angle), share * V_A * math.sin(angle)
     u = (U_A * math.cos(wanted), U_A * math.sin(wanted))
     answer = decision.choose_control(
-        q, seen((0.0, 0.0, 0), eps=eps), no_motions(1), 0, Motion(x, y, v_x, v_y), *u
+        q, seen((0.0, 0.0, 0), eps=eps), no_trajectories(1), 0, State(x, y, v_x, v_y), *u
     )
     assert answer == pytest.approx((*u, decision.NOMINAL))
 
@@ -397,7 +397,7 @@ def test_within_the_certified_radius_every_inner_control_acts(
 )
 def test_beyond_the_certified_radius_the_filter_acts(detections, here, wanted, answer):
     found = decision.choose_control(
-        bounds_with(age=1.0), seen(*detections), no_motions(1), 0, Motion(*here), *wanted
+        bounds_with(age=1.0), seen(*detections), no_trajectories(1), 0, State(*here), *wanted
     )
     assert found == pytest.approx(answer)
 
@@ -463,8 +463,8 @@ ROOM = {"age": 1.0, "width": 10.0, "height": 10.0}
 
 def test_a_vehicle_that_is_driven_into_a_wall_keeps_a_plan_there() -> None:
     q = bounds_with(**ROOM)
-    detections, plan = seen((2.0, 5.0, 0)), no_motions(1)
-    here, least = Motion(2.0, 5.0, 0.0, 0.0), 2.0
+    detections, plan = seen((2.0, 5.0, 0)), no_trajectories(1)
+    here, least = State(2.0, 5.0, 0.0, 0.0), 2.0
     for tick in range(400):
         detections["tick"][0] = tick
         u_x, u_y, source = decision.choose_control(q, detections, plan, tick, here, -U_A, 0.0)
@@ -495,15 +495,15 @@ def test_a_wall_takes_only_residual_velocity_from_a_plan(x, y, share, angle, see
         )
     )
     known = discs.known_discs(
-        q, detections, c.end_disc(no_motions(1)), 0, 0, Motion(x, y, v_x, v_y)
+        q, detections, c.end_disc(no_trajectories(1)), 0, 0, State(x, y, v_x, v_y)
     )
     for make in (c.stop_from, c.return_from):
-        committed = no_motions(1)
-        if not make(q, known, committed, 0, Motion(x, y, v_x, v_y)):
+        committed = no_trajectories(1)
+        if not make(q, known, committed, 0, State(x, y, v_x, v_y)):
             continue
         assert 0.0 <= x <= 10.0
         assert 0.0 <= y <= 10.0
-        state = Motion(x, y, v_x, v_y)
+        state = State(x, y, v_x, v_y)
         # A wall removes at most 1e-10 m/s, the residual velocity that a plan may start with.
         drift = 1e-11 + 1e-10 * max(1.0, ticks_left(committed) * q.dt)
         while ticks_left(committed):

@@ -37,7 +37,7 @@ from flights import (
 from outrider.running.flying import fly
 from properties import PROPERTY
 from sim.models.sensor import SensorParameters
-from sim.models.vehicles import Motion, clip_norm, norm, step_vehicle
+from sim.models.vehicles import State, clip_norm, norm, step_vehicle
 from sim.scenario.types import Scenario, Uav, Ugv, Visibility
 
 numbers = st.floats(-100.0, 100.0)
@@ -124,7 +124,7 @@ def test_coverage_around_a_standing_ugv_completes(k_v, sensor, limits):
 
 def test_over_covered_ground_the_law_brakes_with_its_gain() -> None:
     c, coverage = flown_law(escort("coverage")), np.full((160, 160), DESIRED)
-    inputs = LawInputs(coverage, 0, Motion(*HERE, 0.3, -0.2), target_at(21.0, 20.0))
+    inputs = LawInputs(coverage, 0, State(*HERE, 0.3, -0.2), target_at(21.0, 20.0))
     found = coverage_term(*c[1:], inputs)
     k_v = c.law["speed_gain"]
     assert found == pytest.approx((-k_v * 0.3, k_v * 0.2), rel=1e-15)
@@ -132,7 +132,7 @@ def test_over_covered_ground_the_law_brakes_with_its_gain() -> None:
 
 def test_the_gain_of_the_gradient_drops_out() -> None:
     coverage = np.random.default_rng(1).uniform(0.0, 2.0, (160, 160))
-    inputs = LawInputs(coverage, 0, Motion(21.0, 22.0, 0.1, 0.0), target_at(*HERE))
+    inputs = LawInputs(coverage, 0, State(21.0, 22.0, 0.1, 0.0), target_at(*HERE))
     one, ten = (
         coverage_term(*flown_law(escort("coverage"), sensor=sensor)[1:], inputs)
         for sensor in (SensorParameters(0, peak, 5.0) for peak in (1.0, 10.0))

@@ -9,7 +9,7 @@ from filterpy.common import Q_discrete_white_noise
 from agents.estimation.motion_model import acceleration_deviation as deviation_of
 from agents.estimation.motion_model import process_noise, truncated_variance
 from bus.messages.scenario import Estimator, Limits
-from bus.ticks import Look
+from bus.ticks import DetectionRow
 from filters import (
     DT,
     FREE,
@@ -223,7 +223,7 @@ def test_one_long_gap_and_many_ticks_end_in_the_same_place():
 
 def test_duplicate_detections_and_predictions_count_once():
     once, twice = converged(), converged()
-    first, second = Look(400, -22.0, -20.0), Look(400, -22.1, -20.0)
+    first, second = DetectionRow(400, -22.0, -20.0), DetectionRow(400, -22.1, -20.0)
 
     def position_and_age(estimator, *detections):
         return estimator.update(tick=400, own_position=(0.0, 0.0), detections=detections)

@@ -12,7 +12,7 @@ from agents.estimation.estimator import RelativeEstimator
 from agents.estimation.motion_model import history_depth, strayed_distance
 from bus.messages.scenario import Detector, Estimator, Limits
 from bus.messages.vehicle import Detection
-from bus.ticks import looks_of
+from bus.ticks import detection_rows
 from filters import (
     DT,
     FREE,
@@ -48,7 +48,9 @@ def detection(tick, seen):
 
 
 def call(estimator, tick, *detections):
-    return estimator.update(tick=tick, own_position=own(tick), detections=looks_of(detections, DT))
+    return estimator.update(
+        tick=tick, own_position=own(tick), detections=detection_rows(detections, DT)
+    )
 
 
 def bits(estimator):

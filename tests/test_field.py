@@ -124,7 +124,7 @@ def error_decrease(coverage, p_ax, p_ay, p_gx, p_gy, r_o, desired, sensor, cell)
     Arguments as in `coverage_gradient`.
     """
     from_uav = reference.distances(coverage, p_ax, p_ay, cell)
-    quality = reference.sensor_quality(sensor.model, from_uav, sensor.peak, sensor.reach)
+    quality = reference.sensor_quality(sensor.model, from_uav, sensor.peak, sensor.sensing_range)
     density_ = reference.density(reference.distances(coverage, p_gx, p_gy, cell), r_o)
     lack = 2.0 * np.maximum(0.0, desired - coverage)
     return float((lack * quality * density_).sum() * cell**2)

@@ -44,10 +44,10 @@ from sim.server.flight import Flight
 
 ORANGE = Color.parse(UGV[0])
 MUD = ((11.0, 7.0), (13.0, 7.0), (13.0, 9.0), (11.0, 9.0))
-ON_WAY = Hazard(kind="block", center=(10.0, 6.0), radius=0.5)
+NEAR_PATH = Hazard(kind="block", center=(10.0, 6.0), radius=0.5)
 FAR = Hazard(kind="block", center=(2.0, 2.0), radius=0.4)
 HAZARDOUS = (
-    ON_WAY,
+    NEAR_PATH,
     FAR,
     Hazard(kind="rough", polygon=MUD),
     Hazard(kind="find", center=(10.0, 8.0), radius=0.2),

@@ -19,13 +19,13 @@ from outrider.running.flying import fly
 from sim.models.buildings import building_table
 from sim.models.field import accumulate, coverage_error, empty_coverage
 from sim.models.shadows import Occlusion, all_known
-from sim.models.vehicles import Motion, step_vehicle
+from sim.models.vehicles import State, step_vehicle
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Area
 from sim.server.flight import Flight
 from worlds import SCENARIOS
 
-HERE = Motion(17.0, 16.0, 0.2, -0.3)
+HERE = State(17.0, 16.0, 0.2, -0.3)
 UGV = Target(True, 15.0, 15.0, 0.12, 0.08, 0.0, 0.0)  # and nothing is uncertain
 FOREVER = 1e7
 TICKS = 1000
@@ -114,11 +114,11 @@ def test_lookahead_penalizes_filtered_and_outside_motion() -> None:
     coverage = np.full_like(empty_coverage(36.0, 36.0, 0.25), DESIRED)
     ahead = _ahead(_uav(0.25), coverage, 0, UGV._replace(v_x=0.0, v_y=0.0), FOREVER)
 
-    def costs(here: Motion, *, room: float = 100.0, margin: float = -100.0) -> float:
+    def costs(here: State, *, room: float = 100.0, margin: float = -100.0) -> float:
         lack, adapted = np.empty_like(ahead.lack), ahead._replace(margin=margin)
         return -worth(_uav(0.25, room), adapted, here, still, lack, np.empty(8))
 
-    near, far = Motion(17.0, 15.0, 0.0, 0.0), Motion(19.5, 15.0, 0.0, 0.0)
+    near, far = State(17.0, 15.0, 0.0, 0.0), State(19.5, 15.0, 0.0, 0.0)
     assert costs(near, room=4.4) == 0.0
     assert costs(far, room=4.4) > 1.0
     assert costs(near, margin=15.0) == 0.0

@@ -7,7 +7,7 @@ from bus.messages.decision import NotCertified
 from bus.messages.scenario import SafetyParameters
 from sim.compiling.records import choice
 from sim.models.safety import safety_bounds
-from sim.models.vehicles import Motion
+from sim.models.vehicles import State
 
 
 def test_a_measurement_certifies_for_exactly_its_declared_age() -> None:
@@ -15,7 +15,7 @@ def test_a_measurement_certifies_for_exactly_its_declared_age() -> None:
     declared = SafetyParameters(max_measurement_error=0.1, max_measurement_age=1.0)
     vehicles = {"visibility_radius": 4.75, "v_a": 0.6, "u_a": 0.3, "v_g": 0.2}
     bounds = certificate(safety_bounds(declared, dt=0.05, **vehicles))
-    memory, here = filter_memory(bounds.delay_ticks, depth=100), Motion(20.0, 20.0, 0.0, 0.0)
+    memory, here = filter_memory(bounds.delay_ticks, depth=100), State(20.0, 20.0, 0.0, 0.0)
     reasons = []
     for tick in range(24):
         add_position(memory, tick, here.p_x, here.p_y)

@@ -14,7 +14,7 @@ from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
 from sim.compiling.records import struct_of
-from sim.models.motion import received_motion
+from sim.models.trajectories import received_trajectory
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate
 from sim.server.flight import Flight
@@ -109,7 +109,7 @@ def test_commands_with_and_without_trajectories_take_effect() -> None:
 
 def test_trajectory_survives_encoding() -> None:
     trajectory = BackupTrajectory(7, 6, (0.1, -0.2), 1, 2, 3, (0.25, 0.5), (-0.125, 1e-9))
-    assert struct_of(BackupTrajectory, received_motion(trajectory)[0]) == trajectory
+    assert struct_of(BackupTrajectory, received_trajectory(trajectory)[0]) == trajectory
 
 
 # -- the pilot

@@ -14,7 +14,7 @@ from flights import DESIRED, HERE, R_O, escort, flown_law, target_at
 from properties import PROPERTY
 from seeded import a_key
 from sim.models.field import cover, empty_coverage
-from sim.models.vehicles import Motion
+from sim.models.vehicles import State
 
 CELL = 0.25
 Result = tuple[bool, float, float]
@@ -84,7 +84,7 @@ class _Search:
 
     def next_direction(self, ugv: tuple[float, float] = HERE) -> Result:
         self.tick += 1
-        own, target = Motion(*HERE, 0.0, 0.0), target_at(*ugv)
+        own, target = State(*HERE, 0.0, 0.0), target_at(*ugv)
         return direction_to_uncovered(
             self.c.uav, self.c.memory, self.coverage, self.tick, own, target
         )
@@ -133,7 +133,7 @@ def test_uav_over_its_point_draws_a_keyed_direction() -> None:
     for key in range(400):
         c = flown_law(escort("coverage"))
         c.memory["key_0"], c.memory["key_1"] = a_key(key)
-        own = Motion(*place, 0.0, 0.0)
+        own = State(*place, 0.0, 0.0)
         found, x, y = direction_to_uncovered(c.uav, c.memory, coverage, 0, own, target_at(*place))
         assert found
         assert np.hypot(x, y) == pytest.approx(1.0, rel=1e-12)

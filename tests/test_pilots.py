@@ -31,7 +31,7 @@ from flights import (
 )
 from outrider.running.flying import InProcess, fly, make_pilots
 from properties import PROPERTY
-from sim.models.vehicles import Motion, goal_reached, norm, step_vehicle
+from sim.models.vehicles import State, goal_reached, norm, step_vehicle
 from sim.scenario.types import Detections, Uav, Ugv
 from sim.server.flight import Flight
 
@@ -91,7 +91,7 @@ def test_a_goal_stays_until_it_is_nearer_than_the_tolerance(goals, tolerance):
     for p_x, p_y, v_x, v_y, u_x, u_y in rows.tolist():
         while at < len(goals) - 1 and goal_reached(p_x, p_y, *goals[at], tolerance):
             at += 1
-        assert (u_x, u_y) == goal_control(Motion(p_x, p_y, v_x, v_y), *goals[at], 1.0, 0.5, DT)
+        assert (u_x, u_y) == goal_control(State(p_x, p_y, v_x, v_y), *goals[at], 1.0, 0.5, DT)
 
 
 @given(st.lists(points, min_size=2, max_size=3))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bus.messages.links import LinkSettings
-from bus.ticks import looks_of
+from bus.ticks import detection_rows
 from flights import DT, HERE, escort
 from outrider.running.flying import InProcess, fly, make_pilots
 from sim.engine.monitor import NEVER
@@ -73,7 +73,7 @@ def test_arrivals_are_detections_with_their_errors() -> None:
     while flown.fly_tick(pilots):
         flown.take_down()
         arrival = flown.recorder.arrivals[0]
-        detections = looks_of(flown.world.received(0), DT)
+        detections = detection_rows(flown.world.received(0), DT)
         errors = []
         for taken, x, y in detections:
             (p_x, p_y), (g_x, g_y) = flown.recorder.states[taken, :, :2].tolist()

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.messages.vehicle import Detection
-from bus.ticks import NO_TICK, first_tick_from, looks_of, tick_of, ticks_within
+from bus.ticks import NO_TICK, detection_rows, first_tick_from, tick_of, ticks_within
 
 steps = st.sampled_from([1e-4, 0.02, 0.05, 0.1, 1.0 / 3.0, 0.7, 3.0])
 
@@ -32,4 +32,4 @@ def test_what_is_no_time_of_a_run_is_of_no_tick(time: float) -> None:
 
 def test_a_sum_of_ticks_is_forgiven() -> None:
     found = (Detection(time=sum([0.1] * 10), relative_position=(1.0, 2.0)),)
-    assert looks_of(found, 0.1) == ((10, 1.0, 2.0),)
+    assert detection_rows(found, 0.1) == ((10, 1.0, 2.0),)

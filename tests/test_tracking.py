@@ -36,7 +36,7 @@ from outrider.running.flying import fly
 from properties import PROPERTY
 from reference_field import FloatGrid
 from sim.models.field import empty_coverage
-from sim.models.vehicles import Motion, step_vehicle
+from sim.models.vehicles import State, step_vehicle
 from sim.scenario.types import Uav, Ugv
 
 A_C, B_C, C_C, D_C = -3.0, -3.0, -8.0 / 3.0, -3.0
@@ -140,6 +140,6 @@ def test_tracking_keeps_integrating_while_its_weight_is_zero(law: str) -> None:
     share = np.exp(A_C * age) * (np.exp(A_C * DT) - 1.0) / A_C * B_C
     c, coverage = flown_law(escort(law)), empty_coverage(40.0, 40.0, 0.25)
     for tick, (x, y) in enumerate(positions.tolist()):
-        own = Motion(HERE[0] + x, HERE[1] + y, 0.1, 0.0)
+        own = State(HERE[0] + x, HERE[1] + y, 0.1, 0.0)
         c.command(LawInputs(coverage, tick, own, target_at(*HERE)))
     np.testing.assert_allclose(c.memory["x_c"], share @ positions, rtol=1e-10)

@@ -17,7 +17,7 @@ import outrider
 from agents.estimation.estimator import estimator_of
 from agents.safety.safety_filter import SafetyFilter
 from bus.messages.vehicle import UavObservation
-from bus.ticks import looks_of
+from bus.ticks import detection_rows
 from outrider.envs.env_pilots import pilots
 from properties import PROPERTY
 from sim.compiling.records import code
@@ -164,7 +164,7 @@ def test_the_filters_are_those_of_the_pilots(scenario: Scenario) -> None:
         received = UavObservation(tick=tick, time=world.time, **own)
         keeper.see(received)
         decision = keeper.filter(received, tuple(outward))
-        detections = looks_of(received.detections, briefed.dt)
+        detections = detection_rows(received.detections, briefed.dt)
         estimate = estimator.update(tick=tick, own_position=place, detections=detections)
         if estimate is not None:
             row = [1.0, *np.subtract(place, estimate.position), estimate.age]

@@ -26,7 +26,7 @@ from bus.messages.scenario import Law
 from flights import HERE, R_S, escort, flown_law, target_at
 from outrider.running.flying import fly
 from properties import PROPERTY
-from sim.models.vehicles import Motion, norm
+from sim.models.vehicles import State, norm
 from sim.scenario.types import Ugv
 
 K_BETA, LIMIT = 20.0, 100.0
@@ -90,7 +90,7 @@ def test_every_law_weighs_the_same_two_terms(law: str, place: tuple[float, float
     elif law != "coverage":
         weights = c.weights(norm(place[0] - HERE[0], place[1] - HERE[1]))
     x, y = place[0] - HERE[0], place[1] - HERE[1]
-    inputs = LawInputs(coverage, 3, Motion(*place, 0.2, 0.1), target_at(*HERE))
+    inputs = LawInputs(coverage, 3, State(*place, 0.2, 0.1), target_at(*HERE))
     tracking = tracking_output(0.4, -1.0, x, y, c.law["c_c"], c.law["d_c"])
     covering = coverage_term(c.uav, c.law, c.memory.copy(), inputs)
     wanted = combine(*weights, *tracking, *covering)

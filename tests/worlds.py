@@ -146,7 +146,7 @@ def step(batch: Batch, commands: np.ndarray) -> None:
     vehicles = batch.state.vehicles
     vehicles["outgoing_tick"] = batch.state.ticks[:, None]
     vehicles["outgoing"] = commands
-    vehicles["outgoing_motion"], vehicles["outgoing_motions"] = -1, 0
+    vehicles["outgoing_trajectory"], vehicles["outgoing_trajectories"] = -1, 0
     batch.advance()
 
 

@@ -62,9 +62,11 @@ def expected_gain(
         r_o, desired, sensor, cell, occlusion: As in `sim.models.field.coverage_gradient`.
     """
     rows, columns = coverage.shape
-    first_row, chords = disc_chords(own[0], own[1], sensor.reach, cell, rows, columns)
+    first_row, chords = disc_chords(own[0], own[1], sensor.sensing_range, cell, rows, columns)
     if occlusion is not None:
-        shadow = cast_shadow(occlusion, own[0], own[1], sensor.reach, cell, first_row, chords)
+        shadow = cast_shadow(
+            occlusion, own[0], own[1], sensor.sensing_range, cell, first_row, chords
+        )
     total = 0.0
     for n in range(chords.shape[1]):
         j, first, end = first_row + n, chords[0, n], chords[1, n]

@@ -1,7 +1,7 @@
 """Dynamic coverage for a double integrator, section III of the paper: (7), (8), (10) to (12); border of Q."""
 
 from sim.compiling.compile import compiled
-from sim.models.vehicles import Motion, norm, stopping_distance
+from sim.models.vehicles import State, norm, stopping_distance
 
 ZERO_GRADIENT = 1e-9
 """Share of its integrand's size below which u_cov counts as zero: on a grid, a symmetric sum is never exactly zero."""
@@ -125,7 +125,7 @@ def _outward(p: float, size: float, margin: float) -> float:
 def keep_off_border(
     u_x: float,
     u_y: float,
-    here: Motion,
+    here: State,
     k_v: float,
     width: float,
     height: float,

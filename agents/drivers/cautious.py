@@ -14,7 +14,7 @@ from agents.drivers.tile_map import MAPPED, OccupancyGrid
 from sim.compiling.compile import compiled
 from sim.models.ground import UNSEEN, TileArray, edge_within, span, tile_index
 from sim.models.hazards import BLOCK, ROUGH, TOUCH
-from sim.models.vehicles import Motion, norm, step_vehicle
+from sim.models.vehicles import State, norm, step_vehicle
 
 _EXIT_RINGS = 16
 """Largest distance of an exit from blocked tiles [tiles], to bound the search."""
@@ -158,7 +158,7 @@ def is_safe(
     late: bool,
     tiles: TileArray,
     ground: Open,
-    here: Motion,
+    here: State,
     u_x: float,
     u_y: float,
 ) -> bool:

@@ -33,13 +33,13 @@ from bus.messages.vehicle import (
     UgvReport,
 )
 from bus.numbers import exact
-from bus.ticks import first_tick_from, look_rows, looks_of
+from bus.ticks import detection_array, detection_rows, first_tick_from
 from sim.compiling.compile import FloatArray
 from sim.compiling.records import struct_of
 from sim.models.ground import CERTIFIED, NO_CLAIM, UNCERTIFIED, tile_index, tile_states, tiles_shape
 from sim.models.hazards import TOUCH
-from sim.models.motion import NO_MOTION
-from sim.models.vehicles import Motion
+from sim.models.trajectories import NO_TRAJECTORY
+from sim.models.vehicles import State
 
 MOST_TILES = 1_000_000
 """Largest number of tiles in a UGV's occupancy grid."""
@@ -146,14 +146,14 @@ class CompiledDriver:
         if self._owns_grid:
             update_grid(self.ground, observation)
         committed = (
-            NO_MOTION
+            NO_TRAJECTORY
             if observation.committed_trajectory is None
             else observation.committed_trajectory
         )
-        radio = look_rows(looks_of(observation.radio, self._dt))
+        radio = detection_array(detection_rows(observation.radio, self._dt))
         inputs = DriverInputs(
             tick=observation.tick,
-            own=Motion(*observation.position, *observation.velocity),
+            own=State(*observation.position, *observation.velocity),
             goals=self._route.goals,
             script=self._route.script,
             radio=radio,

@@ -25,7 +25,7 @@ from bus.messages.vehicle import UgvBriefing
 from bus.ticks import NO_TICK, first_tick_from, ticks_within
 from sim.compiling.compile import FloatArray, compiled, constant
 from sim.models.randomness import WANDER, uniform
-from sim.models.vehicles import Motion, norm
+from sim.models.vehicles import State, norm
 
 _SMOOTHING = 1.0  # time constant of the UAV's estimated velocity [s]: differences of estimates are mostly noise
 _FORGOTTEN = 5.0  # age at which the last message is discarded [s]
@@ -102,7 +102,7 @@ def receive_radio(
     radio: FloatArray,
     received: int,
     tick: int,
-    here: Motion,
+    here: State,
 ) -> None:
     """Update the UAV's position and smoothed velocity from the messages of this tick.
 
@@ -138,7 +138,7 @@ def slot_draw(
 
 @compiled
 def away(
-    ugv: UgvParameters, driver: Parameters, memory: Memory, tick: int, here: Motion
+    ugv: UgvParameters, driver: Parameters, memory: Memory, tick: int, here: State
 ) -> tuple[float, float]:
     """Return the unit vector away from the UAV's predicted position after the lead."""
     m: Any = memory
@@ -202,7 +202,7 @@ def leave_wall(
 
 
 @compiled
-def off_walls(ugv: UgvParameters, w_x: float, w_y: float, here: Motion) -> tuple[float, float]:
+def off_walls(ugv: UgvParameters, w_x: float, w_y: float, here: State) -> tuple[float, float]:
     """Return the desired velocity [m/s], or one that first brakes towards a wall that would otherwise be hit.
 
     Args:
@@ -228,7 +228,7 @@ def flee(
     x: float,
     y: float,
     tick: int,
-    here: Motion,
+    here: State,
 ) -> tuple[float, float]:
     """Return the acceleration [m/s²] to full speed in the direction (x, y), along walls and out of corners.
 

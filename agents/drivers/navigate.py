@@ -37,7 +37,7 @@ from sim.compiling.compile import FloatArray, compiled
 from sim.models.ground import tile_index
 from sim.models.hazards import BLOCK, TOUCH
 from sim.models.vehicles import (
-    Motion,
+    State,
     brake,
     next_goal,
     norm,
@@ -146,7 +146,7 @@ def _slow(parameters: NavigateParameters) -> float:
 
 @compiled
 def _rough_speed(
-    parameters: NavigateParameters, memory: OccupancyGrid, here: Motion, to_x: float, to_y: float
+    parameters: NavigateParameters, memory: OccupancyGrid, here: State, to_x: float, to_y: float
 ) -> float:
     """Return the largest speed [m/s] that still allows the UGV to slow down before the first rough ground ahead."""
     slow = _slow(parameters)
@@ -171,7 +171,7 @@ def _rough_speed(
 def drive_towards(
     parameters: NavigateParameters,
     memory: OccupancyGrid,
-    here: Motion,
+    here: State,
     to_x: float,
     to_y: float,
 ) -> tuple[float, float]:
@@ -235,7 +235,7 @@ def navigate_control(
     memory: OccupancyGrid,
     goals: FloatArray,
     tick: int,
-    here: Motion,
+    here: State,
     committed: int,
 ) -> tuple[float, float]:
     """Return the command [m/s²] to one goal after the other over the known ground; stop at the last one.

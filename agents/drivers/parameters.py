@@ -13,7 +13,7 @@ from bus.errors import ScenarioError
 from bus.messages.vehicle import UgvBriefing
 from bus.registry import DRIVERS, module_of
 from sim.compiling.compile import FloatArray
-from sim.models.vehicles import Motion
+from sim.models.vehicles import State
 
 
 class UgvParameters(msgspec.Struct, frozen=True, kw_only=True):
@@ -36,7 +36,7 @@ class DriverInputs(NamedTuple):
     """Knowledge of one UGV in a tick: its state, goals and script, and the messages received."""
 
     tick: int
-    own: Motion
+    own: State
     """Its position [m] and velocity [m/s]."""
     goals: FloatArray
     """Waypoints [m], in order. Shape (goals, 2)."""

@@ -10,9 +10,9 @@ from agents.drivers.tile_map import OccupancyGrid
 from bus.messages.vehicle import MOST_CARRIED
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray
-from sim.models.ground import CERTIFIED, NO_CLAIM, NO_STOP, NOT_OWN, WAY_UNKNOWN
-from sim.models.motion import NO_MOTION, follow_on, keep_motion, motion_command
-from sim.models.vehicles import Motion, brake, norm, step_vehicle, within_walls
+from sim.models.ground import CERTIFIED, NO_CLAIM, NO_STOP, NOT_OWN, PATH_UNKNOWN
+from sim.models.trajectories import NO_TRAJECTORY, follow_on, keep_trajectory, trajectory_command
+from sim.models.vehicles import State, brake, norm, step_vehicle, within_walls
 
 PLAIN = -2
 """Replaces the committed trajectory if the receiver executes none: commands take effect as they arrive."""
@@ -22,7 +22,7 @@ _AS_PREDICTED = 1e-9
 
 
 @compiled
-def _step(parameters: NavigateParameters, here: Motion, u_x: float, u_y: float) -> Motion:
+def _step(parameters: NavigateParameters, here: State, u_x: float, u_y: float) -> State:
     """Return the state after a tick with a command [m/s²]."""
     p_x, p_y, v_x, v_y, _, _ = step_vehicle(
         here.p_x,
@@ -35,19 +35,19 @@ def _step(parameters: NavigateParameters, here: Motion, u_x: float, u_y: float) 
         parameters.max_acceleration,
         parameters.dt,
     )
-    return Motion(p_x, p_y, v_x, v_y)
+    return State(p_x, p_y, v_x, v_y)
 
 
 @compiled
 def _is_as_predicted(
-    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, here: Motion, committed: int
+    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, here: State, committed: int
 ) -> bool:
     """Return whether the UGV has moved in the previous tick as the reported trajectory implies.
 
     Rough ground may have slowed it: its velocity may be any share of the predicted one.
     """
     flags, sent = memory.flags[0], memory.sent
-    before = Motion(flags.p_x, flags.p_y, flags.v_x, flags.v_y)
+    before = State(flags.p_x, flags.p_y, flags.v_x, flags.v_y)
     u_x, u_y = brake(before.v_x, before.v_y, parameters.max_acceleration, parameters.dt)
     if committed == tick - 1:
         started = sent[committed % sent.shape[0]]
@@ -68,7 +68,7 @@ def _is_as_predicted(
 
 @compiled
 def _check_control(
-    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, here: Motion, committed: int
+    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, here: State, committed: int
 ) -> tuple[bool, bool]:
     """Check that the UGV executes the commands of this driver only. Arguments as in `state_ahead`.
 
@@ -80,7 +80,7 @@ def _check_control(
     """
     flags, first, predicted = memory.flags[0], tick + memory.sent.shape[0] - 2, True
     if tick == 0:
-        flags.since = NO_MOTION
+        flags.since = NO_TRAJECTORY
     elif flags.answered != tick - 1:
         flags.since = first
     else:
@@ -97,8 +97,8 @@ def _check_control(
 
 @compiled
 def state_ahead(
-    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, here: Motion, committed: int
-) -> tuple[Motion, int]:
+    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, here: State, committed: int
+) -> tuple[State, int]:
     """Predict the UGV's state when this tick's command takes effect, and the trajectory committed then.
 
     The function records in `memory.flags` whether the predicted trajectory, and the stop after the loss of any command,
@@ -109,7 +109,7 @@ def state_ahead(
         memory: Occupancy grid with the commands sent so far.
         tick: Current tick.
         here: Current state of the UGV.
-        committed: First tick of the trajectory executed in the previous tick; NO_MOTION: none; PLAIN: the receiver
+        committed: First tick of the trajectory executed in the previous tick; NO_TRAJECTORY: none; PLAIN: the receiver
             executes none, and all commands take effect.
 
     Returns:
@@ -126,7 +126,7 @@ def state_ahead(
         ahead[0] = sent[row]
         ahead[0].age = tick - committed
     else:
-        ahead[0].begins, ahead[0].age = (NO_MOTION if plain else committed), 1
+        ahead[0].begins, ahead[0].age = (NO_TRAJECTORY if plain else committed), 1
         ahead[0].turn, ahead[0].cruise, ahead[0].brake = 0, 0, 0
     for k in range(rows - 2):
         due = sent[(tick + k) % rows]
@@ -136,7 +136,7 @@ def state_ahead(
                 u_x, u_y = due.acceleration[0], due.acceleration[1]
         else:
             follow_on(sent, ahead, tick + k)
-            u_x, u_y = motion_command(
+            u_x, u_y = trajectory_command(
                 ahead[0], here.v_x, here.v_y, parameters.max_acceleration, parameters.dt
             )
             ahead[0].age += 1
@@ -144,15 +144,15 @@ def state_ahead(
         here = _step(parameters, here, u_x, u_y)
         p_x, v_x = within_walls(here.p_x, here.v_x, parameters.width)
         p_y, v_y = within_walls(here.p_y, here.v_y, parameters.height)
-        here = Motion(p_x, p_y, v_x, v_y)
-    claim = CERTIFIED if safe else WAY_UNKNOWN
+        here = State(p_x, p_y, v_x, v_y)
+    claim = CERTIFIED if safe else PATH_UNKNOWN
     memory.flags[0].claim = NO_STOP if plain else claim if own else NOT_OWN
     return here, int(ahead[0].begins)
 
 
 @compiled
 def update_claim(
-    parameters: NavigateParameters, memory: OccupancyGrid, ahead: Motion, u_x: float, u_y: float
+    parameters: NavigateParameters, memory: OccupancyGrid, ahead: State, u_x: float, u_y: float
 ) -> None:
     """Update the claim of `state_ahead` for the command of this tick [m/s²].
 
@@ -168,7 +168,7 @@ def update_claim(
     elif flags.claim == CERTIFIED and not is_safe(
         parameters, late, memory.tiles, known_open(), ahead, u_x, u_y
     ):
-        flags.claim = WAY_UNKNOWN
+        flags.claim = PATH_UNKNOWN
 
 
 @compiled
@@ -192,6 +192,6 @@ def add_stops(memory: OccupancyGrid, tick: int, outgoing: RecordArray) -> tuple[
     last, count = tick + rows - 2, 0
     for begins in range(max(tick, last - MOST_CARRIED + 1), last + 1):
         if memory.sent[begins % rows].begins == begins:
-            keep_motion(outgoing, memory.sent[begins % rows], tick)
+            keep_trajectory(outgoing, memory.sent[begins % rows], tick)
             count += 1
     return (last if count else -1), count

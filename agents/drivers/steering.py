@@ -3,7 +3,7 @@
 from agents.asking import LARGEST
 from bus.messages.vehicle import UgvBriefing, UgvObservation
 from sim.compiling.compile import compiled
-from sim.models.vehicles import Motion, brake, clip_norm, norm, speed_to_stop_within
+from sim.models.vehicles import State, brake, clip_norm, norm, speed_to_stop_within
 
 
 @compiled
@@ -28,7 +28,7 @@ def velocity_control(
 
 @compiled
 def goal_control(
-    here: Motion, goal_x: float, goal_y: float, v_max: float, u_max: float, dt: float
+    here: State, goal_x: float, goal_y: float, v_max: float, u_max: float, dt: float
 ) -> tuple[float, float]:
     """Return the stabilizing control f(p_g, goal) [m/s²]: straight, as fast as the bounds allow, braking in time.
 
@@ -77,7 +77,7 @@ class Steering:
         self, observation: UgvObservation, goal: tuple[float, float]
     ) -> tuple[float, float]:
         """Return the acceleration [m/s²] towards a goal [m], as in the paper's driver."""
-        here = Motion(*observation.position, *observation.velocity)
+        here = State(*observation.position, *observation.velocity)
         x, y = float(goal[0]), float(goal[1])
         return goal_control(here, x, y, self.v_max, self.u_max, self.dt)
 

@@ -17,7 +17,7 @@ from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.compiling.records import RecordArray, records
 from sim.models.ground import NO_CLAIM, UNSEEN, TileArray
 from sim.models.hazards import BLOCK
-from sim.models.motion import NO_MOTION, no_motions
+from sim.models.trajectories import NO_TRAJECTORY, no_trajectories
 
 _NEVER = -1
 MEASURED, MAPPED = 1, 2
@@ -126,8 +126,8 @@ def occupancy_grid(
         cost=np.full(size, np.inf),
         heap=np.zeros(size, dtype=np.int32),
         place=np.full(size, _NEVER, dtype=np.int32),
-        sent=no_motions(delay + EXTRA_ROWS),
-        committed=no_motions(1),
+        sent=no_trajectories(delay + EXTRA_ROWS),
+        committed=no_trajectories(1),
         flags=records(GridFlags, [GridFlags(clearance=clearance)]),
     )
 
@@ -136,13 +136,13 @@ def forget_plan(memory: OccupancyGrid) -> None:
     """Forget plan, commands and claims, and keep all tiles: a new driver takes over."""
     clearance = float(memory.flags[0]["clearance"])
     memory.flags[...] = records(GridFlags, [GridFlags(clearance=clearance)])
-    memory.sent[...] = no_motions(len(memory.sent))
+    memory.sent[...] = no_trajectories(len(memory.sent))
     memory.path[...] = UNSEEN
 
 
 def forget_sent(memory: OccupancyGrid) -> None:
     """Forget the commands so far: they were not sent, or another process sent them."""
-    memory.sent["begins"], memory.flags["answered"] = NO_MOTION, _NEVER
+    memory.sent["begins"], memory.flags["answered"] = NO_TRAJECTORY, _NEVER
 
 
 def _near_tiles(rows: int, columns: int, clearance: float) -> PlaceArray:

@@ -17,7 +17,7 @@ from bus.messages.base import Vector
 from bus.messages.vehicle import UgvBriefing
 from sim.compiling.compile import compiled
 from sim.models.randomness import FIRST, SECOND, WANDER, uniform
-from sim.models.vehicles import Motion, goal_reached, speed_to_stop_within, stopping_distance
+from sim.models.vehicles import State, goal_reached, speed_to_stop_within, stopping_distance
 
 
 def wander_pace(
@@ -63,7 +63,7 @@ def parameters(ugv: UgvParameters, briefing: UgvBriefing) -> Parameters:
 
 @compiled
 def wander_command(
-    ugv: UgvParameters, driver: Parameters, memory: Memory, tick: int, own: Motion
+    ugv: UgvParameters, driver: Parameters, memory: Memory, tick: int, own: State
 ) -> tuple[float, float]:
     """Return the command [m/s²] to a random goal; draw the next goal when it is reached.
 

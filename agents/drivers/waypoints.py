@@ -5,7 +5,7 @@ import msgspec
 from agents.drivers.parameters import DriverInputs, UgvParameters
 from agents.drivers.steering import goal_control
 from sim.compiling.compile import FloatArray, compiled
-from sim.models.vehicles import Motion, next_goal
+from sim.models.vehicles import State, next_goal
 
 
 class Parameters(msgspec.Struct, frozen=True, kw_only=True):
@@ -21,7 +21,7 @@ class Memory:
 
 @compiled
 def waypoint_command(
-    ugv: UgvParameters, memory: Memory, goals: FloatArray, own: Motion
+    ugv: UgvParameters, memory: Memory, goals: FloatArray, own: State
 ) -> tuple[float, float]:
     """Return the command [m/s²] to one goal after the other; without goals, to the UGV's own position.
 

@@ -14,7 +14,7 @@ from agents.uav_inputs import DETECTION
 from agents.uav_parameters import Target
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray, record_type
-from sim.models.vehicles import Motion, clip_norm
+from sim.models.vehicles import State, clip_norm
 
 
 class EstimatorRow:
@@ -142,7 +142,7 @@ def update(
     rows: RecordArray,
     place: tuple[int, int],
     tick: int,
-    here: Motion,
+    here: State,
     detections: FloatArray,
     count: int,
 ) -> None:

@@ -27,7 +27,7 @@ from agents.estimation.motion_model import (
 from agents.uav_parameters import Target
 from bus.messages.scenario import Detector, Estimator, Limits
 from bus.messages.vehicle import UavBriefing
-from bus.ticks import NO_TICK, Look
+from bus.ticks import NO_TICK, DetectionRow
 from sim.compiling.compile import FloatArray
 from sim.models.vehicles import clip_norm
 
@@ -161,7 +161,7 @@ class RelativeEstimator:
         return Target(s.known, x, y, v_x, v_y, s.P.item(0, 0), s.P.item(2, 2))
 
     def update(
-        self, *, tick: int, own_position: tuple[float, float], detections: Iterable[Look]
+        self, *, tick: int, own_position: tuple[float, float], detections: Iterable[DetectionRow]
     ) -> Estimate | None:
         """Advance to a tick and use the detections that have arrived, each at its own tick.
 
@@ -202,7 +202,7 @@ class RelativeEstimator:
             rejected=s.rejected + self.misdated,
         )
 
-    def _insert(self, detection: Look) -> bool:
+    def _insert(self, detection: DetectionRow) -> bool:
         """Store a measurement at its tick; return False if it is unusable."""
         row = self._history.get(detection.taken)
         if row is None:

@@ -10,7 +10,7 @@ from agents.laws.horizon import Ahead
 from agents.uav_parameters import UavParameters
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.sensor import sensor_quality
-from sim.models.vehicles import Motion, clip_norm, norm, stopping_distance
+from sim.models.vehicles import State, clip_norm, norm, stopping_distance
 
 _STRAY_COST = 10.0
 """Cost of a metre beyond the limit of the safety filter, per second [m²]."""
@@ -20,8 +20,8 @@ _SLACK = 0.1
 
 @compiled
 def fly_step(
-    own: Motion, w_x: float, w_y: float, u_max: float, step: float
-) -> tuple[Motion, float, float]:
+    own: State, w_x: float, w_y: float, u_max: float, step: float
+) -> tuple[State, float, float]:
     """Advance the UAV by one step towards a velocity, at maximum acceleration until it is reached: (1).
 
     Returns:
@@ -32,11 +32,11 @@ def fly_step(
     w_x, w_y = own.v_x + d_x, own.v_y + d_y
     x = own.p_x + w_x * step - 0.5 * d_x * turning
     y = own.p_y + w_y * step - 0.5 * d_y * turning
-    return Motion(x, y, w_x, w_y), 0.5 * (own.p_x + x), 0.5 * (own.p_y + y)
+    return State(x, y, w_x, w_y), 0.5 * (own.p_x + x), 0.5 * (own.p_y + y)
 
 
 @compiled
-def strayed(uav: UavParameters, margin: float, own: Motion, g_x: float, g_y: float) -> float:
+def strayed(uav: UavParameters, margin: float, own: State, g_x: float, g_y: float) -> float:
     """Return the distance of a state beyond the limit of the safety filter and beyond the border margin [m].
 
     Whatever the UGV does, the filter must be able to stop the UAV while the UGV is visible: as in (18), with the UAV's
@@ -60,7 +60,7 @@ def strayed(uav: UavParameters, margin: float, own: Motion, g_x: float, g_y: flo
 def worth(
     uav: UavParameters,
     ahead: Ahead,
-    own: Motion,
+    own: State,
     motion: FloatArray,
     lack: FloatArray,
     gains: FloatArray,
@@ -101,9 +101,9 @@ def worth(
             * _STRAY_COST
             * strayed(uav, ahead.margin, own, ahead.track[k, 0], ahead.track[k, 1])
         )
-        i = min(max(math.floor((x - uav.sensor.reach - ahead.x) / cell), 0), size - width)
-        first = max(math.floor((y - uav.sensor.reach - ahead.y) / cell), 0)
-        end = min(math.floor((y + uav.sensor.reach - ahead.y) / cell) + 1, size)
+        i = min(max(math.floor((x - uav.sensor.sensing_range - ahead.x) / cell), 0), size - width)
+        first = max(math.floor((y - uav.sensor.sensing_range - ahead.y) / cell), 0)
+        end = min(math.floor((y + uav.sensor.sensing_range - ahead.y) / cell) + 1, size)
         left = ahead.x + (i + 0.5) * cell - x
         if views is not None:
             hidden = hidden_from(views, uav, ahead, x, y)

@@ -24,7 +24,7 @@ from bus.messages.laws import CoverageParameters, TrackingParameters
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.field import coverage_gradient
 from sim.models.randomness import FIRST, START_DIRECTION, uniform
-from sim.models.vehicles import Motion, norm
+from sim.models.vehicles import State, norm
 
 _ON_THE_SPOT = 1e-9
 """Distance below which a point gives no direction [m]."""
@@ -73,7 +73,7 @@ def direction_to_uncovered(
     memory: CoverageMemory,
     coverage: FloatArray,
     tick: int,
-    own: Motion,
+    own: State,
     target: Target,
 ) -> tuple[bool, float, float]:
     """Return the direction of the symmetry breaker (7); keep its point until it is covered or out of the support.
@@ -173,6 +173,6 @@ def weighted_command(
 
 
 @compiled
-def distance_to(target: Target, own: Motion) -> float:
+def distance_to(target: Target, own: State) -> float:
     """Return the distance from the UAV to the UGV's estimated position [m]."""
     return norm(own.p_x - target.p_x, own.p_y - target.p_y)

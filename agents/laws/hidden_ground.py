@@ -59,7 +59,7 @@ def hidden_from(
         return hidden
     views.computed[row, column] = 1
     x, y = ahead.x + (column + 0.5) * cell, ahead.y + (row + 0.5) * cell
-    reach = uav.sensor.reach + cell
+    reach = uav.sensor.sensing_range + cell
     rows, columns = math.ceil(uav.height / cell), math.ceil(uav.width / cell)
     first_row, chords = disc_chords(x, y, reach, cell, rows, columns)
     shadow = cast_shadow(views.occlusion, x, y, reach, cell, first_row, chords)

@@ -184,7 +184,7 @@ def look_ahead(
     v_x, v_y = expected_velocity(target)
     kept = kept_time(persistence, horizon)
     way_x, way_y = clip_norm(kept * v_x, kept * v_y, 2.0 * uav.density_radius)
-    ratio = max(1, math.ceil(uav.sensor.reach / (_CELLS * uav.cell) - 1e-9))
+    ratio = max(1, math.ceil(uav.sensor.sensing_range / (_CELLS * uav.cell) - 1e-9))
     cell = ratio * uav.cell
     size = math.ceil((2.0 * uav.density_radius + max(abs(way_x), abs(way_y))) / cell) + 2
     size = max(size, WINDOW)

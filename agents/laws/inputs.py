@@ -10,7 +10,7 @@ from typing import NamedTuple
 from agents.uav_parameters import Target
 from sim.compiling.compile import FloatArray
 from sim.models.shadows import Occlusion
-from sim.models.vehicles import Motion
+from sim.models.vehicles import State
 
 
 class LawInputs(NamedTuple):
@@ -19,7 +19,7 @@ class LawInputs(NamedTuple):
     coverage: FloatArray
     """Its own coverage map C. Shape (rows, columns)."""
     tick: int
-    own: Motion
+    own: State
     """Its position [m] and velocity [m/s]."""
     target: Target
     """Known estimate of the UGV."""

@@ -19,8 +19,8 @@ from agents.laws.inputs import LawInputs
 from agents.uav_parameters import Target, UavParameters
 from bus.messages.laws import LookaheadParameters
 from sim.compiling.compile import FloatArray, compiled
-from sim.models.randomness import LOOKAHEAD_MOTION, Key, draw, to_uniform
-from sim.models.vehicles import Motion, clip_norm, norm
+from sim.models.randomness import LOOKAHEAD_CANDIDATE, Key, draw, to_uniform
+from sim.models.vehicles import State, clip_norm, norm
 
 _SLOTS = LEGS + 1  # legs in memory: a decision may be due within the first leg
 
@@ -79,7 +79,7 @@ def learn_persistence(memory: Memory, target: Target) -> float:
 @compiled
 def aim(
     ahead: Ahead,
-    own: Motion,
+    own: State,
     motion: FloatArray,
     first: int,
     places: tuple[float, float, float, float],
@@ -109,10 +109,10 @@ def aim(
 
 
 @compiled
-def draw_motion(
+def draw_candidate(
     uav: UavParameters,
     ahead: Ahead,
-    own: Motion,
+    own: State,
     motion: FloatArray,
     key: Key,
     tick: int,
@@ -123,7 +123,7 @@ def draw_motion(
     The variants alternate: two points beside the UGV; a new velocity in one leg; small changes to the velocities of one
     or two legs; two points from some leg on.
     """
-    words = draw(key, LOOKAHEAD_MOTION, tick, n)
+    words = draw(key, LOOKAHEAD_CANDIDATE, tick, n)
     a, b = to_uniform(words[0]), to_uniform(words[1])
     d, e = to_uniform(words[2]), to_uniform(words[3])
     used = ahead.legs[ahead.legs.size - 1] + 1
@@ -183,13 +183,13 @@ def decide(
         most = worth(uav, ahead, own, best, lack, gains, views)
         for n in range(1, law.candidates):
             copy(best, tried)
-            draw_motion(uav, ahead, own, tried, key, tick, n)
+            draw_candidate(uav, ahead, own, tried, key, tick, n)
             value = worth(uav, ahead, own, tried, lack, gains, views)
             if value > most:
                 most = value
                 copy(tried, best)
     elif memory.noted == 1 or now - memory.first >= LEGS:
-        draw_motion(uav, ahead, own, best, key, tick, 0)
+        draw_candidate(uav, ahead, own, best, key, tick, 0)
     else:
         return
     memory.first = now

@@ -11,7 +11,7 @@ from bus.errors import ScenarioError
 from bus.messages.base import Vector
 from bus.messages.vehicle import UavBriefing, UavObservation
 from bus.observations import ALTITUDE, GRADIENT, UAV, Row, clipped, names, without
-from bus.ticks import Look, looks_of
+from bus.ticks import DetectionRow, detection_rows
 from sim.compiling.compile import FloatArray
 from sim.models.field import coverage_gradient, sample
 from sim.models.shadows import Occlusion
@@ -123,8 +123,8 @@ class PolicyControl:
         for detection in self._detections(observation):
             self._newest = max(self._newest, detection.taken)
 
-    def _detections(self, observation: UavObservation) -> Iterator[Look]:
-        detections = looks_of(observation.detections, self._dt)
+    def _detections(self, observation: UavObservation) -> Iterator[DetectionRow]:
+        detections = detection_rows(observation.detections, self._dt)
         return (detection for detection in detections if 0 <= detection.taken <= observation.tick)
 
     def acceleration(

@@ -34,9 +34,9 @@ from agents.safety.trajectories import end_disc
 from bus.messages.decision import NotCertified
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray, code
-from sim.models.altitude import VerticalMotion, level_off, lowest_ahead, step_altitude
-from sim.models.motion import NO_MOTION, follow_on
-from sim.models.vehicles import Motion, brake
+from sim.models.altitude import VerticalState, level_off, lowest_ahead, step_altitude
+from sim.models.trajectories import NO_TRAJECTORY, follow_on
+from sim.models.vehicles import State, brake
 
 _TOO_LOW = code(NotCertified.TOO_LOW)
 _OFF_TRAJECTORY = code(NotCertified.OFF_TRAJECTORY)
@@ -60,14 +60,14 @@ def level_of(levels: RecordArray, z: float, slack: float = _SLACK) -> int:
 
 
 @compiled
-def _step(own: VerticalMotion, here: Height, command: float, dt: float) -> Height:
+def _step(own: VerticalState, here: Height, command: float, dt: float) -> Height:
     limits = own.lowest, own.highest, own.max_rate, own.max_acceleration
     z, rate, _ = step_altitude(here.z, here.rate, command, limits, dt)
     return Height(z, rate)
 
 
 @compiled
-def _plan_step(own: VerticalMotion, here: Height, plan: RecordArray, dt: float) -> Height:
+def _plan_step(own: VerticalState, here: Height, plan: RecordArray, dt: float) -> Height:
     """Return the height after a tick of the plan in a table of one row, at its age."""
     if plan[0].begins >= 0 and plan[0].age == 0:
         return _step(own, here, plan[0].vertical_acceleration, dt)
@@ -76,7 +76,7 @@ def _plan_step(own: VerticalMotion, here: Height, plan: RecordArray, dt: float) 
 
 @compiled
 def predict_height(
-    pending: PendingCommands, own: VerticalMotion, tick: int, delay_ticks: int, dt: float
+    pending: PendingCommands, own: VerticalState, tick: int, delay_ticks: int, dt: float
 ) -> tuple[Height, float]:
     """Predict the height at which the plan of this tick's command begins, as `predict` does for the motion.
 
@@ -95,7 +95,7 @@ def predict_height(
 
 
 @compiled
-def _expect_height(pending: PendingCommands, own: VerticalMotion, tick: int, dt: float) -> None:
+def _expect_height(pending: PendingCommands, own: VerticalState, tick: int, dt: float) -> None:
     """Record the expected heights at the next tick, as `send_plan` does for the motion."""
     ahead = pending.committed[PREDICTED : PREDICTED + 1]
     for k in (LOST, STARTED):
@@ -107,7 +107,7 @@ def _expect_height(pending: PendingCommands, own: VerticalMotion, tick: int, dt:
 
 
 @compiled
-def _lowest_after(own: VerticalMotion, here: Height, command: float, dt: float) -> float:
+def _lowest_after(own: VerticalState, here: Height, command: float, dt: float) -> float:
     """Return the lowest altitude of a plan whose first tick has this vertical acceleration [m].
 
     A descent at rate v that turns into a climb within a tick, with the acceleration a, falls v²/(2a) before it turns.
@@ -124,10 +124,10 @@ def decide_in_space(
     levels: RecordArray,
     memory: FilterMemory,
     tick: int,
-    here: Motion,
-    own: VerticalMotion,
+    here: State,
+    own: VerticalState,
     wanted: tuple[float, float, float],
-    committed: int = NO_MOTION,
+    committed: int = NO_TRAJECTORY,
 ) -> None:
     """Decide on the nominal accelerations of a UAV with an altitude; as `decide` otherwise.
 

@@ -7,7 +7,7 @@ import math
 
 from sim.compiling.compile import compiled
 from sim.models.safety import SafetyBounds
-from sim.models.vehicles import Motion, norm, step_vehicle, within_walls
+from sim.models.vehicles import State, norm, step_vehicle, within_walls
 
 RESIDUE = 1e-10
 """Largest velocity component towards a wall that rounding leaves at the end of a plan [m/s]."""
@@ -20,9 +20,7 @@ _CLEAR = 1e-9
 
 
 @compiled
-def step_in_area(
-    bounds: SafetyBounds, here: Motion, u_x: float, u_y: float
-) -> tuple[Motion, float]:
+def step_in_area(bounds: SafetyBounds, here: State, u_x: float, u_y: float) -> tuple[State, float]:
     """Return the state of the UAV after one tick, by (1) and the walls.
 
     Returns:
@@ -33,7 +31,7 @@ def step_in_area(
     )
     x, w_x = within_walls(q_x, w_x, bounds.width)
     y, w_y = within_walls(q_y, w_y, bounds.height)
-    return Motion(x, y, w_x, w_y), norm(q_x - x, q_y - y)
+    return State(x, y, w_x, w_y), norm(q_x - x, q_y - y)
 
 
 @compiled
@@ -83,7 +81,7 @@ def _is_off_wall(p: float, v: float, a: float, duration: float, size: float) -> 
 
 @compiled
 def stays_in_area(
-    bounds: SafetyBounds, here: Motion, a_x: float, a_y: float, duration: float
+    bounds: SafetyBounds, here: State, a_x: float, a_y: float, duration: float
 ) -> bool:
     """Return whether a trajectory with constant acceleration keeps its distance from the walls.
 

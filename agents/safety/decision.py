@@ -41,9 +41,9 @@ from agents.safety.trajectories import (
 from bus.messages.decision import NotCertified, Source
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray, code
-from sim.models.motion import NO_MOTION
 from sim.models.safety import SafetyBounds
-from sim.models.vehicles import Motion, brake, clip_norm
+from sim.models.trajectories import NO_TRAJECTORY
+from sim.models.vehicles import State, brake, clip_norm
 
 NOMINAL = code(Source.NOMINAL)
 BACKUP = code(Source.BACKUP)
@@ -66,8 +66,8 @@ def _stays_in_sight(
     known: KnownDiscs,
     checked: bool,
     tick: int,
-    here: Motion,
-    then: Motion,
+    here: State,
+    then: State,
     over: float,
 ) -> bool:
     """Return whether the UGV is certainly in sight now, and until the next tick if the UAV touches a wall.
@@ -90,7 +90,7 @@ def try_nominal(
     known: KnownDiscs,
     plan: RecordArray,
     tick: int,
-    here: Motion,
+    here: State,
     u_x: float,
     u_y: float,
 ) -> tuple[bool, float, float]:
@@ -114,7 +114,7 @@ def try_nominal(
 
 @compiled
 def best_effort(
-    bounds: SafetyBounds, discs: RecordArray, plan: RecordArray, here: Motion
+    bounds: SafetyBounds, discs: RecordArray, plan: RecordArray, here: State
 ) -> tuple[float, float]:
     """Return the acceleration towards the newest measurement; without one, brake [m/s²]. The plan is unchecked."""
     plan[0].checked = 0
@@ -132,7 +132,7 @@ def choose_control(
     discs: RecordArray,
     plan: RecordArray,
     tick: int,
-    here: Motion,
+    here: State,
     u_x: float,
     u_y: float,
 ) -> tuple[float, float, int]:
@@ -177,16 +177,16 @@ def _executed_plan(
     bounds: SafetyBounds,
     memory: FilterMemory,
     tick: int,
-    here: Motion,
+    here: State,
     height: Height,
     committed: int,
 ) -> int:
-    """Return the plan executed in the previous tick; NO_MOTION: none.
+    """Return the plan executed in the previous tick; NO_TRAJECTORY: none.
 
     A receiver of plain accelerations reports none. If each command takes effect in its own tick, the state of the UAV
     shows whether the last plan has started.
     """
-    if committed != NO_MOTION or bounds.delay_ticks > 0 or bounds.interval_ticks > 1:
+    if committed != NO_TRAJECTORY or bounds.delay_ticks > 0 or bounds.interval_ticks > 1:
         return committed
     pending, last = memory.pending, tick - 1
     begins = pending.sent[last % pending.sent.shape[0]].begins
@@ -229,7 +229,7 @@ def _reason(
 class Beginning(NamedTuple):
     """State of the filter at a tick, before it decides."""
 
-    ahead: Motion
+    ahead: State
     """Predicted state of the UAV when the plan of this tick's command begins."""
     expected: bool
     """True if the UAV is in the state that its reported trajectory implies."""
@@ -244,7 +244,7 @@ def begin_decision(
     bounds: SafetyBounds,
     memory: FilterMemory,
     tick: int,
-    here: Motion,
+    here: State,
     height: Height,
     committed: int,
 ) -> Beginning:
@@ -272,7 +272,7 @@ def end_decision(
     bounds: SafetyBounds,
     memory: FilterMemory,
     tick: int,
-    here: Motion,
+    here: State,
     beginning: Beginning,
     acceleration: tuple[float, float],
     source: int,
@@ -294,10 +294,10 @@ def decide(
     bounds: SafetyBounds,
     memory: FilterMemory,
     tick: int,
-    here: Motion,
+    here: State,
     u_x: float,
     u_y: float,
-    committed: int = NO_MOTION,
+    committed: int = NO_TRAJECTORY,
 ) -> None:
     """Decide on the nominal acceleration: apply it if the UGV stays in sight after it, else a backup trajectory.
 
@@ -310,7 +310,7 @@ def decide(
         tick: Current tick.
         here: Current state of the UAV.
         u_x, u_y: Nominal acceleration [m/s²].
-        committed: First tick of the plan executed in the previous tick; NO_MOTION: none.
+        committed: First tick of the plan executed in the previous tick; NO_TRAJECTORY: none.
     """
     beginning = begin_decision(bounds, memory, tick, here, IN_PLANE, committed)
     begins = tick + bounds.delay_ticks

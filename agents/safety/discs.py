@@ -11,7 +11,7 @@ import numpy as np
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray, record_type
 from sim.models.safety import SafetyBounds
-from sim.models.vehicles import Motion, norm
+from sim.models.vehicles import State, norm
 
 KEPT = 16
 """Number of kept discs: the newest, and those with the tightest bounds on the distance."""
@@ -199,7 +199,7 @@ def add_disc(
 
 @compiled
 def known_discs(
-    bounds: SafetyBounds, discs: RecordArray, end: Disc, newest: int, tick: int, here: Motion
+    bounds: SafetyBounds, discs: RecordArray, end: Disc, newest: int, tick: int, here: State
 ) -> KnownDiscs:
     """Return the discs that best bound the distance from a state at a tick.
 

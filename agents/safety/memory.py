@@ -21,9 +21,9 @@ from agents.safety.pending import (
 from bus.messages.decision import FilterDecision, NotCertified, Source
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray, code, record_type
-from sim.models.motion import clear_motions, no_motions
 from sim.models.safety import SafetyBounds
-from sim.models.vehicles import Motion, within_walls
+from sim.models.trajectories import clear_trajectories, no_trajectories
+from sim.models.vehicles import State, within_walls
 
 _TRACK = 120.0
 """Time for which own positions are kept [s]; the declared measurement age if it is longer."""
@@ -92,7 +92,7 @@ def filter_memory(delay_ticks: int, depth: int) -> FilterMemory:
         raise ValueError(f"depth = {depth}: too small; allowed: at least 1")
     memory = FilterMemory(
         discs=no_discs(),
-        plan=no_motions(1),
+        plan=no_trajectories(1),
         track=np.zeros(depth, dtype=record_type(OwnPosition)),
         flags=np.zeros(1, dtype=record_type(FilterFlags)),
         pending=pending_commands(delay_ticks),
@@ -108,7 +108,7 @@ def reset_memory(memory: FilterMemory) -> None:
     for k in range(memory.discs.shape[0]):
         disc = memory.discs[k]
         disc.x, disc.y, disc.radius, disc.tick = 0.0, 0.0, 0.0, NEVER
-    clear_motions(memory.plan)
+    clear_trajectories(memory.plan)
     for k in range(memory.track.shape[0]):
         place = memory.track[k]
         place.x, place.y, place.tick = 0.0, 0.0, NEVER
@@ -136,7 +136,7 @@ def add_measurement(
     taken: int,
     relative: tuple[float, float],
     tick: int,
-    here: Motion,
+    here: State,
 ) -> None:
     """Add a detection, in any order of arrival. Without a recorded own position of its tick it is ignored.
 

@@ -1,7 +1,7 @@
 """Pending commands, each with a plan, and the trajectory predicted from them.
 
 The vehicle's receiver begins each plan in its own tick, and only if the plan's parent is committed then; otherwise the
-committed trajectory continues (`sim.models.motion`). Each observation reports the committed trajectory. So the pilot
+committed trajectory continues (`sim.models.trajectories`). Each observation reports the committed one. So the pilot
 predicts one trajectory up to the tick in which its next plan begins: along the pending plans if the vehicle executes
 what was sent, otherwise along the rest of the committed one, since a lost plan invalidates all pending ones. The
 proof is in docs/explanation/proof.md.
@@ -20,17 +20,17 @@ from agents.safety.trajectories import end_disc, rest_radius, set_end
 from bus.messages.vehicle import MOST_CARRIED
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray, record_type
-from sim.models.motion import (
+from sim.models.safety import SafetyBounds
+from sim.models.trajectories import (
     NO_CHECKED,
-    clear_motions,
+    clear_trajectories,
     follow_on,
-    keep_motion,
-    motion_command,
-    no_motions,
+    keep_trajectory,
+    no_trajectories,
+    trajectory_command,
     waited,
 )
-from sim.models.safety import SafetyBounds
-from sim.models.vehicles import Motion
+from sim.models.vehicles import State
 
 COMMITTED, PREDICTED = 0, 1
 """Rows of `PendingCommands.committed`: committed now, and at the end of the predicted trajectory."""
@@ -79,14 +79,14 @@ def pending_commands(delay_ticks: int) -> PendingCommands:
         delay_ticks: Command delay, from the tick of a command to the tick in which it takes effect.
     """
     return PendingCommands(
-        sent=no_motions(delay_ticks + 2),
-        committed=no_motions(2),
+        sent=no_trajectories(delay_ticks + 2),
+        committed=no_trajectories(2),
         expected=np.zeros(2, dtype=record_type(ExpectedState)),
     )
 
 
 @compiled
-def expect(pending: PendingCommands, k: int, there: Motion, height: Height) -> None:
+def expect(pending: PendingCommands, k: int, there: State, height: Height) -> None:
     """Write an expected state of the UAV."""
     due = pending.expected[k]
     due.p_x, due.p_y, due.v_x, due.v_y = there.p_x, there.p_y, there.v_x, there.v_y
@@ -96,10 +96,10 @@ def expect(pending: PendingCommands, k: int, there: Motion, height: Height) -> N
 @compiled
 def reset_pending(pending: PendingCommands) -> None:
     """Reset the memory in place, at the start of an episode."""
-    clear_motions(pending.sent)
-    clear_motions(pending.committed)
+    clear_trajectories(pending.sent)
+    clear_trajectories(pending.committed)
     for k in range(pending.expected.shape[0]):
-        expect(pending, k, Motion(0.0, 0.0, 0.0, 0.0), IN_PLANE)
+        expect(pending, k, State(0.0, 0.0, 0.0, 0.0), IN_PLANE)
 
 
 @compiled
@@ -125,7 +125,7 @@ def _receive_flown(pending: PendingCommands, tick: int, committed: int) -> None:
 
 
 @compiled
-def _off_by(here: Motion, height: Height, due: ExpectedState) -> float:
+def _off_by(here: State, height: Height, due: ExpectedState) -> float:
     """Return the largest deviation of a state from the expected one [m, m/s]."""
     off = max(abs(here.p_x - due.p_x), abs(here.p_y - due.p_y))
     off = max(off, abs(here.v_x - due.v_x), abs(here.v_y - due.v_y))
@@ -134,7 +134,7 @@ def _off_by(here: Motion, height: Height, due: ExpectedState) -> float:
 
 @compiled
 def is_expected(
-    pending: PendingCommands, tick: int, here: Motion, height: Height, committed: int
+    pending: PendingCommands, tick: int, here: State, height: Height, committed: int
 ) -> bool:
     """Return whether the UAV is in the state that the reported trajectory implies."""
     due = pending.expected[STARTED if committed == tick - 1 else LOST]
@@ -145,7 +145,7 @@ def is_expected(
 def receive_observation(
     pending: PendingCommands,
     tick: int,
-    here: Motion,
+    here: State,
     height: Height,
     committed: int,
     last_tick: int,
@@ -157,7 +157,7 @@ def receive_observation(
         tick: Current tick.
         here: Current state of the UAV.
         height: Its altitude and climb rate; IN_PLANE if it has none.
-        committed: First tick of the plan executed in the previous tick; NO_MOTION: none.
+        committed: First tick of the plan executed in the previous tick; NO_TRAJECTORY: none.
         last_tick: Last tick that this pilot answered; negative: none yet.
     """
     first = last_tick < 0
@@ -171,8 +171,8 @@ def receive_observation(
 
 @compiled
 def predict(
-    bounds: SafetyBounds, pending: PendingCommands, tick: int, here: Motion
-) -> tuple[Motion, bool, int]:
+    bounds: SafetyBounds, pending: PendingCommands, tick: int, here: State
+) -> tuple[State, bool, int]:
     """Predict the UAV's state when the plan of this tick's command begins.
 
     `pending.committed` then contains the trajectory committed at that time. Pending plans continue the committed one in
@@ -192,7 +192,7 @@ def predict(
         if follow_on(pending.sent, ahead, tick + k):
             next_begins = min(next_begins, tick + k)
             checked = checked and ahead[0].checked == 1
-        u_x, u_y = motion_command(ahead[0], here.v_x, here.v_y, c.u_a, c.dt)
+        u_x, u_y = trajectory_command(ahead[0], here.v_x, here.v_y, c.u_a, c.dt)
         here, _ = step_in_area(c, here, u_x, u_y)
         ahead[0].age += 1
     return here, checked, waited(next_begins, pending.committed[COMMITTED].begins, c.delay_ticks)
@@ -228,7 +228,7 @@ def _rests(rows: RecordArray, k: int) -> bool:
 
 @compiled
 def _check_rest(
-    rows: RecordArray, k: int, tick: int, here: Motion, radius: float, floor: float
+    rows: RecordArray, k: int, tick: int, here: State, radius: float, floor: float
 ) -> None:
     rows[k].checked, rows[k].floor = 1, floor
     set_end(rows[k : k + 1], Disc(here.p_x, here.p_y, radius, tick))
@@ -241,7 +241,7 @@ def check_rest(
     discs: RecordArray,
     plan: RecordArray,
     tick: int,
-    here: Motion,
+    here: State,
 ) -> None:
     """Check a UAV at rest as a plan once there is a measurement, until a plan moves the UAV.
 
@@ -273,7 +273,7 @@ def send_plan(
     pending: PendingCommands,
     plan: RecordArray,
     tick: int,
-    here: Motion,
+    here: State,
     first: tuple[float, float],
     checked: bool,
 ) -> None:
@@ -300,7 +300,7 @@ def send_plan(
         ahead[0] = pending.committed[COMMITTED]
         if k == STARTED:
             follow_on(pending.sent, ahead, tick)
-        w_x, w_y = motion_command(ahead[0], here.v_x, here.v_y, bounds.u_a, bounds.dt)
+        w_x, w_y = trajectory_command(ahead[0], here.v_x, here.v_y, bounds.u_a, bounds.dt)
         there, _ = step_in_area(bounds, here, w_x, w_y)
         expect(pending, k, there, IN_PLANE)
 
@@ -327,5 +327,5 @@ def add_plans(
     """
     last, n = tick + bounds.delay_ticks, carried(bounds, pending, tick)
     for begins in range(last - n + 1, last + 1):
-        keep_motion(outgoing, pending.sent[begins % pending.sent.shape[0]], tick)
+        keep_trajectory(outgoing, pending.sent[begins % pending.sent.shape[0]], tick)
     return last, n

@@ -12,9 +12,9 @@ from agents.uav_inputs import UavInputs, uav_inputs
 from bus.messages.base import Vector, or_none
 from bus.messages.decision import FilterDecision, NotCertified, Source
 from bus.messages.vehicle import BackupTrajectory, UavBriefing, UavObservation
-from bus.ticks import looks_of
+from bus.ticks import detection_rows
 from sim.compiling.records import RecordArray, choice, records, struct_of
-from sim.models.altitude import vertical_motion
+from sim.models.altitude import vertical_state
 from sim.models.safety import SafetyBounds
 
 
@@ -48,7 +48,7 @@ class SafetyFilter:
         self._levels: RecordArray | None = None
         self._vertical: RecordArray | None = None
         if briefing.altitude is not None:
-            self._levels, self._vertical = levels_of(briefing), vertical_motion(briefing.altitude)
+            self._levels, self._vertical = levels_of(briefing), vertical_state(briefing.altitude)
         self.faults = check_assumptions(self.bounds)
         """Violated assumptions, one line each; if there are any, nothing can be certified."""
         self.ticks = 0
@@ -85,7 +85,7 @@ class SafetyFilter:
         return self.decide(self._inputs(observation), (u_x, u_y, vertical))
 
     def _inputs(self, observation: UavObservation) -> UavInputs:
-        detections = looks_of(observation.detections, self.bounds.dt)
+        detections = detection_rows(observation.detections, self.bounds.dt)
         return uav_inputs(observation, detections, vertical=self._vertical)
 
     def decide(self, inputs: UavInputs, nominal: tuple[float, float, float]) -> FilterDecision:

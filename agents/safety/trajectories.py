@@ -26,7 +26,7 @@ from agents.safety.handover import REST, ROUNDING, rest_to_rest
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray
 from sim.models.safety import SafetyBounds
-from sim.models.vehicles import Motion, brake, clip_norm, norm, speed_to_stop_within
+from sim.models.vehicles import State, brake, clip_norm, norm, speed_to_stop_within
 
 _ON_THE_SPOT = 1e-9
 """Length up to which a segment has no direction [m]."""
@@ -37,7 +37,7 @@ _SPEEDS = (1.0, 0.6, 0.35, 0.2)
 
 @compiled
 def servo(
-    here: Motion, z_x: float, z_y: float, v_a: float, u_a: float, dt: float
+    here: State, z_x: float, z_y: float, v_a: float, u_a: float, dt: float
 ) -> tuple[float, float]:
     r"""Return the acceleration that flies to z and stops there [m/s²].
 
@@ -110,7 +110,7 @@ def stop_from(
     known: KnownDiscs,
     plan: RecordArray,
     tick: int,
-    here: Motion,
+    here: State,
     least: int = 0,
 ) -> bool:
     """Hold the plan to brake to a stop from this state; return False, without changes, if it is not safe.
@@ -146,7 +146,7 @@ def _turn_is_safe(
     bounds: SafetyBounds,
     known: KnownDiscs,
     tick: int,
-    here: Motion,
+    here: State,
     a_x: float,
     a_y: float,
     ticks: int,
@@ -185,7 +185,7 @@ class _Return(NamedTuple):
 
 @compiled
 def _return_from_rest(
-    bounds: SafetyBounds, here: Motion, z_x: float, z_y: float, speed: float
+    bounds: SafetyBounds, here: State, z_x: float, z_y: float, speed: float
 ) -> _Return:
     """Return the trajectory to z [m] from rest, at most at this speed [m/s]."""
     x, y = z_x - here.p_x, z_y - here.p_y
@@ -197,7 +197,7 @@ def _return_from_rest(
 
 @compiled
 def _return_in_motion(
-    bounds: SafetyBounds, here: Motion, z_x: float, z_y: float, speed: float
+    bounds: SafetyBounds, here: State, z_x: float, z_y: float, speed: float
 ) -> _Return:
     """Return the trajectory to z [m] at this speed [m/s]; heading and end of the turn are found by iteration."""
     stop = max(1, math.ceil(speed / (bounds.u_a * bounds.dt) - ROUNDING))
@@ -222,7 +222,7 @@ def _return_at(
     known: KnownDiscs,
     plan: RecordArray,
     tick: int,
-    here: Motion,
+    here: State,
     speed: float,
 ) -> bool:
     """Hold the plan of `return_from` at one speed [m/s]."""
@@ -250,7 +250,7 @@ def _return_at(
     if not stays_in_area(bounds, here, a_x, a_y, turn * bounds.dt):
         return False
     if not at_rest:  # from rest, the trajectory is a chord of the area
-        chord = Motion(q_x, q_y, end_x - q_x, end_y - q_y)
+        chord = State(q_x, q_y, end_x - q_x, end_y - q_y)
         if not stays_in_area(bounds, chord, 0.0, 0.0, 1.0):
             return False
     if not _turn_is_safe(bounds, known, tick, here, a_x, a_y, turn):
@@ -263,7 +263,7 @@ def _return_at(
 
 @compiled
 def return_from(
-    bounds: SafetyBounds, known: KnownDiscs, plan: RecordArray, tick: int, here: Motion
+    bounds: SafetyBounds, known: KnownDiscs, plan: RecordArray, tick: int, here: State
 ) -> bool:
     """Hold the plan to turn to the newest measurement, fly there and stop, from this state at a tick.
 
@@ -302,7 +302,7 @@ def rest_radius(
     discs: RecordArray,
     plan: RecordArray,
     tick: int,
-    here: Motion,
+    here: State,
     ticks: int,
 ) -> float:
     """Return a bound on the UGV's distance from a resting UAV [m]; infinite if it may not rest there.

@@ -44,7 +44,7 @@ from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray
 from sim.models.safety import SafetyBounds
 from sim.models.vehicles import (
-    Motion,
+    State,
     clip_norm,
     norm,
     speed_to_stop_within,
@@ -98,7 +98,7 @@ def worst_distance(bounds: SafetyBounds, known: KnownDiscs, tick: int, x: float,
 
 @compiled
 def flow_value(
-    bounds: SafetyBounds, known: KnownDiscs, tick: int, spent: int, here: Motion, enough: float
+    bounds: SafetyBounds, known: KnownDiscs, tick: int, spent: int, here: State, enough: float
 ) -> float:
     """Return h_I [m] of the state of the UAV `spent` ticks from now.
 
@@ -139,7 +139,7 @@ def value_after(
     bounds: SafetyBounds,
     known: KnownDiscs,
     tick: int,
-    here: Motion,
+    here: State,
     u_x: float,
     u_y: float,
     enough: float,
@@ -150,7 +150,7 @@ def value_after(
     """
     c, (p_x, p_y, v_x, v_y) = bounds, here
     x, y, w_x, w_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, c.v_a, c.u_a, c.dt)
-    return flow_value(c, known, tick, c.delay_ticks + 1, Motion(x, y, w_x, w_y), enough)
+    return flow_value(c, known, tick, c.delay_ticks + 1, State(x, y, w_x, w_y), enough)
 
 
 @compiled
@@ -158,7 +158,7 @@ def filtered(
     bounds: SafetyBounds,
     discs: RecordArray,
     tick: int,
-    here: Motion,
+    here: State,
     u_x: float,
     u_y: float,
     gamma: float,
@@ -272,7 +272,7 @@ class BackupFilter:
             fresh = tick - int(self._discs[new]["tick"]) <= c.max_age_ticks
             wanted = (float(acceleration[0]), float(acceleration[1]))
             u_x, u_y, acts, feasible = filtered(
-                c, self._discs, tick, Motion(p_x, p_y, v_x, v_y), *wanted, self.gamma
+                c, self._discs, tick, State(p_x, p_y, v_x, v_y), *wanted, self.gamma
             )
         if self._pending:
             self._pending = [*self._pending[1:], (u_x, u_y)]

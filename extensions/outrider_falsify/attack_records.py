@@ -14,7 +14,7 @@ from sim.compiling.records import RecordArray, record_type
 from sim.engine.monitor import certificate_counters
 from sim.engine.world_state import BatchState, BatchTables
 from sim.models.safety import SafetyBounds
-from sim.models.vehicles import Motion, norm
+from sim.models.vehicles import State, norm
 
 RING = 8
 """Number of stored commands: the largest delay that the adversary imposes [ticks]."""
@@ -111,7 +111,7 @@ class Scratch(NamedTuple):
     """`TickSums`. Shape (1,)."""
     before: RecordArray
     now: RecordArray
-    """True `Motion` of UAV and UGV at the last tick and now. Shape (2,)."""
+    """True `State` of UAV and UGV at the last tick and now. Shape (2,)."""
     ring: FloatArray
     """Last commands [m/s²]: horizontal; 1 for one that carries a trajectory; vertical. Shape (RING, 4)."""
     counts: RecordArray
@@ -144,7 +144,7 @@ class View(NamedTuple):
     """The adversary's view of a tick."""
 
     tick: int
-    here: Motion
+    here: State
     """Reference state of the UAV."""
     x: float
     y: float
@@ -160,8 +160,8 @@ def empty_scratch() -> Scratch:
         trouble=np.zeros(1, record_type(Trouble)),
         roles=np.zeros(1, record_type(Roles)),
         sums=np.zeros(1, record_type(TickSums)),
-        before=np.zeros(2, record_type(Motion)),
-        now=np.zeros(2, record_type(Motion)),
+        before=np.zeros(2, record_type(State)),
+        now=np.zeros(2, record_type(State)),
         ring=np.zeros((RING, 4)),
         counts=certificate_counters(1),
     )
@@ -169,7 +169,7 @@ def empty_scratch() -> Scratch:
 
 @compiled
 def keep_states(state: BatchState, states: RecordArray) -> None:
-    """Copy the true states of the vehicles into an array of `Motion`."""
+    """Copy the true states of the vehicles into an array of `State`."""
     for k in range(states.shape[0]):
         row, vehicle = states[k], state.vehicles[0, k]
         row.p_x, row.p_y = vehicle.position[0], vehicle.position[1]
@@ -189,4 +189,4 @@ def view_of(run: Run, tick: int) -> View:
     uav = run.state.vehicles[0, UAV]
     there, moving = uav.reference_position, uav.reference_velocity
     x, y, d = apart(run.scratch.now)
-    return View(tick, Motion(there[0], there[1], moving[0], moving[1]), x, y, d)
+    return View(tick, State(there[0], there[1], moving[0], moving[1]), x, y, d)

@@ -19,9 +19,9 @@ from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray
 from sim.engine.briefing import uav_briefing
 from sim.engine.world_state import BatchState
-from sim.models.altitude import VerticalMotion
+from sim.models.altitude import VerticalState
 from sim.models.safety import SafetyBounds, visible_radius
-from sim.models.vehicles import Motion
+from sim.models.vehicles import State
 from sim.scenario.types import Scenario
 
 
@@ -162,7 +162,7 @@ def draw_climb(random: RngState, max_acceleration: float) -> float:
 
 @compiled
 def nominal_climb(
-    heights: Heights | None, roles: RecordArray, random: RngState, own: VerticalMotion
+    heights: Heights | None, roles: RecordArray, random: RngState, own: VerticalState
 ) -> float:
     """Return the nominal vertical acceleration chosen by the adversary in the UAV [m/s²]; 0 in the plane."""
     if heights is None:
@@ -179,8 +179,8 @@ def filter_nominal(
     bounds: SafetyBounds,
     memory: FilterMemory,
     times: tuple[int, int],
-    here: Motion,
-    own: VerticalMotion,
+    here: State,
+    own: VerticalState,
     wanted: tuple[float, float, float],
 ) -> None:
     """Let the filter decide on the nominal accelerations `wanted` [m/s²].

@@ -7,8 +7,8 @@ from outrider_falsify.lost_trajectories import Pending, loses
 from outrider_falsify.opponents import UAV, UGV
 from outrider_falsify.rng import RngState, next_share
 from sim.compiling.compile import compiled
-from sim.models.motion import keep_motion
 from sim.models.safety import SafetyBounds
+from sim.models.trajectories import keep_trajectory
 from sim.models.vehicles import norm
 
 
@@ -66,7 +66,7 @@ def _lose_trajectory(run: Run, view: View) -> bool:
     pending = Pending(tick, d_ticks, allowed, view.distance / conditions.r_v, left)
     kind = run.scratch.roles[0].losses
     lost, adversaries[UAV].losing = loses(kind, run.random, adversaries[UAV].losing, pending)
-    keep_motion(run.state.motions[0, UAV], under[(tick + d_ticks) % under.shape[0]], tick)
+    keep_trajectory(run.state.trajectories[0, UAV], under[(tick + d_ticks) % under.shape[0]], tick)
     return lost
 
 
@@ -87,5 +87,5 @@ def send_command(
     sent, uav.outgoing_tick = scratch.ring[then % RING], then
     uav.outgoing[0], uav.outgoing[1] = sent[0], sent[1]
     uav.vertical.outgoing = sent[3]
-    uav.outgoing_motion = then + bounds.delay_ticks if sent[2] > 0.0 else -1
-    uav.outgoing_motions = 1 if sent[2] > 0.0 else 0
+    uav.outgoing_trajectory = then + bounds.delay_ticks if sent[2] > 0.0 else -1
+    uav.outgoing_trajectories = 1 if sent[2] > 0.0 else 0

@@ -12,7 +12,7 @@ from outrider_falsify.rng import next_share
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray
 from sim.models.safety import SafetyBounds
-from sim.models.vehicles import Motion, clip_norm
+from sim.models.vehicles import State, clip_norm
 
 _A_C, _B_C, _C_C, _D_C = -3.0, -3.0, -8.0 / 3.0, -3.0  # (15) with the paper's closed loop (s + 1)^3
 
@@ -36,7 +36,7 @@ def switch_command(
     discs: RecordArray,
     adversaries: RecordArray,
     tick: int,
-    here: Motion,
+    here: State,
     z_x: float,
     z_y: float,
 ) -> tuple[float, float]:

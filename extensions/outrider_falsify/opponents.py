@@ -16,7 +16,7 @@ from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray
 from sim.engine.world_state import BatchState
 from sim.engine.world_tick import apply_disturbance
-from sim.models.vehicles import Motion, brake, norm
+from sim.models.vehicles import State, brake, norm
 
 UAV, UGV = 0, 1
 """Rows of UAV and UGV in the adversaries' memory and in the world."""
@@ -85,7 +85,7 @@ def draw_creep(random: RngState) -> tuple[float, float]:
 
 
 @compiled
-def _creep(here: Motion, c_x: float, c_y: float, side: float) -> tuple[float, float]:
+def _creep(here: State, c_x: float, c_y: float, side: float) -> tuple[float, float]:
     """Return the command that holds the UAV at a residual velocity [m/s²].
 
     Args:
@@ -107,7 +107,7 @@ def inner_command(
     kind: int,
     x: float,
     y: float,
-    here: Motion,
+    here: State,
     z_x: float,
     z_y: float,
     phase: float,
@@ -154,7 +154,7 @@ def ugv_command(
     kind: int,
     x: float,
     y: float,
-    here: Motion,
+    here: State,
     w_x: float,
     w_y: float,
     adversaries: RecordArray,

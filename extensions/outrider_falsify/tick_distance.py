@@ -65,7 +65,7 @@ def largest_between(before: RecordArray, after: RecordArray, dt: float) -> float
     If a vehicle met a wall, only the ends of the tick are compared.
 
     Args:
-        before, after: `Motion` of both vehicles. Shape (2,).
+        before, after: `State` of both vehicles. Shape (2,).
         dt: Length of the tick [s].
     """
     a, g, b, h = before[0], before[1], after[0], after[1]

@@ -46,7 +46,7 @@ MANUAL = Mode("MANUAL", 1, 0, mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED)
 
 
 class Moving(NamedTuple):
-    """Motion of a vehicle at one time, in scenario coordinates."""
+    """State of a vehicle at one time, in scenario coordinates."""
 
     time: float
     """Simulated time [s]."""
@@ -108,7 +108,7 @@ class VehicleSystem:
         self.critical = False
         """True if the vehicle has a critical problem."""
         self.moving: Moving | None = None
-        """Motion of the vehicle; None: unknown so far."""
+        """State of the vehicle; None: unknown so far."""
         self.followed: Moving | None = None
         """Target in `FOLLOW_TARGET`: a UGV itself, or a UAV's estimate of its UGV."""
         self.origin = origin

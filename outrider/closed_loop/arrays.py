@@ -17,9 +17,9 @@ from sim.compiling.records import RecordArray, row_of
 from sim.engine.space_state import TownState, TownTables, building_rows
 from sim.engine.world_state import BatchState, BatchTables, Vehicle
 from sim.env.rows import RowState, RowTables
-from sim.models.altitude import VerticalMotion
+from sim.models.altitude import VerticalState
 from sim.models.ground import TileArray
-from sim.models.vehicles import Motion
+from sim.models.vehicles import State
 
 
 class LoopTables(NamedTuple):
@@ -237,15 +237,15 @@ def map_of(maps: FloatArray, world: int, uav: int) -> FloatArray:
 
 
 @compiled
-def reference_of(vehicle: Vehicle) -> Motion:
+def reference_of(vehicle: Vehicle) -> State:
     """Return the reference state of a vehicle."""
     place, velocity = vehicle.reference_position, vehicle.reference_velocity
-    return Motion(place[0], place[1], velocity[0], velocity[1])
+    return State(place[0], place[1], velocity[0], velocity[1])
 
 
 @unless_none
 @compiled
-def _vertical_of(altitude: RecordArray, vehicle: Vehicle) -> VerticalMotion:
+def _vertical_of(altitude: RecordArray, vehicle: Vehicle) -> VerticalState:
     """Return the altitude of a UAV; None if all UAVs fly in the plane."""
     return vehicle.vertical
 

@@ -33,7 +33,7 @@ from sim.compiling.records import RecordArray, row_of
 from sim.engine.ground_state import GroundState
 from sim.engine.mission import goals_of, keeps_clearance, record_claim
 from sim.engine.monitor import Claim, record_decision
-from sim.models.vehicles import Motion
+from sim.models.vehicles import State
 
 _RELATIVE, _GROUND = range(2)
 """Messages in `LoopState.outbox`."""
@@ -80,8 +80,8 @@ def _fly(
         monitored = pilots.tables.monitored
         bounds = monitored[row_of(monitored.shape[0], world), uav]
         record_decision(bounds, state.certificates[world, uav], tick, claim)
-        one.outgoing_motion, one.outgoing_motions = add_plans(
-            constants.safety[0], memory.filter.pending, tick, batch.motions[world, vehicle]
+        one.outgoing_trajectory, one.outgoing_trajectories = add_plans(
+            constants.safety[0], memory.filter.pending, tick, batch.trajectories[world, vehicle]
         )
     one.outgoing_tick, one.outgoing[0], one.outgoing[1] = tick, u_x, u_y
     one.vertical.outgoing = u_z
@@ -97,7 +97,7 @@ def _write_radio(
     outbox: RecordArray,
     memory: MapUpdateMemory,
     tick: int,
-    here: Motion,
+    here: State,
     target: Target,
 ) -> None:
     """Write the radio messages of a UAV in this tick into its outbox."""
@@ -136,15 +136,15 @@ def _drive(
     script = own.scripts[own.script_rows[ugv] : own.script_rows[ugv + 1]]
     goals = goals_of(tables.batch.goals, tables.batch.goal_rows, ugv)
     radio, arrived = other.inboxes[world, ugv], other.arrived[world, ugv]
-    committed = batch.flown[world, vehicle, 0].begins if one.follows_motions else PLAIN
+    committed = batch.flown[world, vehicle, 0].begins if one.follows_trajectories else PLAIN
     grid = grid_of(other.grids, own.late, world, ugv)
     inputs = DriverInputs(tick, reference_of(one), goals, script, radio, arrived, grid, committed)
     one.outgoing[0], one.outgoing[1] = drive(driver_of(pilots, world, ugv), inputs)
     if ground is not None:
         record_claim(ground.missions[world], ugv, grid.flags[0].claim)
-        if one.follows_motions:
-            motions = batch.motions[world, vehicle]
-            one.outgoing_motion, one.outgoing_motions = add_stops(grid, tick, motions)
+        if one.follows_trajectories:
+            trajectories = batch.trajectories[world, vehicle]
+            one.outgoing_trajectory, one.outgoing_trajectories = add_stops(grid, tick, trajectories)
 
 
 @inlined

@@ -36,9 +36,9 @@ from sim.engine.world_state import Vehicle, WorldParameters
 from sim.engine.world_tick import begin_world, measure, world_tick
 from sim.env.rows import advance_rows, observe_rows
 from sim.models.field import coverage_gradient, sample
-from sim.models.motion import CheckedTrajectory
 from sim.models.safety import SafetyBounds
 from sim.models.shadows import Occlusion
+from sim.models.trajectories import CheckedTrajectory
 from sim.models.vehicles import norm
 
 

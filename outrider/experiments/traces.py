@@ -17,7 +17,7 @@ from sim.compiling.records import fresh, records
 from sim.engine.briefing import uav_briefing
 from sim.models.field import accumulate, cover, empty_coverage
 from sim.models.randomness import words_of
-from sim.models.vehicles import Motion
+from sim.models.vehicles import State
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
@@ -80,7 +80,7 @@ def velocity_errors(flight: Flight) -> tuple[FloatArray, FloatArray]:
     estimates = flight.recorder.escorts[:, 0, 4:6]
     errors = np.empty((flight.recorder.ticks, 2))
     for tick in range(flight.recorder.ticks):
-        here = Motion(*states[tick, :4].tolist())
+        here = State(*states[tick, :4].tolist())
         if tick > 0:
             accumulate(coverage, here.p_x, here.p_y, c.sensor, c.cell, c.dt)
         target = Target(True, estimates[tick, 0], estimates[tick, 1], 0.0, 0.0, 0.0, 0.0)

@@ -32,8 +32,8 @@ from sim.engine.world_state import (
     world_parameters,
 )
 from sim.engine.world_tick import begin_world, world_tick
-from sim.models.motion import no_motions
 from sim.models.randomness import BUILDING_FIELDS, HAZARD_FIELDS
+from sim.models.trajectories import no_trajectories
 from sim.scenario.building_tables import run_buildings
 from sim.scenario.ground_tables import (
     first_corner,
@@ -135,8 +135,8 @@ class Batch:
             ticks=np.zeros(worlds, dtype=np.int64),
             vehicles=np.repeat(vehicles[None], worlds, axis=0),
             coverage=np.repeat(first_coverage(scenario)[None], worlds, axis=0),
-            motions=no_motions(worlds, len(vehicles), self._motion_rows()),
-            flown=no_motions(worlds, len(vehicles), 1),
+            trajectories=no_trajectories(worlds, len(vehicles), self._trajectory_rows()),
+            flown=no_trajectories(worlds, len(vehicles), 1),
             links=self.links.records,
             buildings=buildings,
             town=town_of(scenario, buildings),
@@ -150,7 +150,7 @@ class Batch:
         self.fresh = Fresh(tuple(changing.values()))
         """Initial state of every world."""
 
-    def _motion_rows(self) -> int:
+    def _trajectory_rows(self) -> int:
         """Return the buffer size for pending backup trajectories of a receiver; 1 if there are none."""
         scenario = self.scenario
         delays = [safety_parameters(scenario, uav.name).max_command_delay for uav in scenario.uav]

@@ -53,7 +53,7 @@ class Progress(NamedTuple):
 
     way: float
     """Distance driven [m]."""
-    seen_way: float
+    seen_length: float
     """Distance driven on tiles that had been received by radio [m]."""
     entered: int
     """Ticks in which it drove over a tile that it did not know to be drivable."""
@@ -67,7 +67,7 @@ class Progress(NamedTuple):
     near: bool
     """True if it came nearer on its way to this tick."""
     certified: int
-    way_unknown: int
+    path_unknown: int
     no_stop: int
     not_own: int
     """Ticks in which it was certified to stay on known tiles, and in which it was not, by reason."""
@@ -132,11 +132,11 @@ class GroundState(NamedTuple):
     warned: TickArray
     """Time of its first knowledge of each hazard, by radio or by its own sensor. Shape (worlds, UGVs, hazards)."""
     met: TickArray
-    """Time at which it first came within `ON_WAY`. Shape (worlds, UGVs, hazards)."""
+    """Time at which it first came within `NEAR_PATH`. Shape (worlds, UGVs, hazards)."""
     nearest: FloatArray
     """Smallest distance to each hazard [m]. Shape (worlds, UGVs, hazards)."""
     near: npt.NDArray[np.int32]
-    """Hazards that it could approach within `ON_WAY` before the next listing; the first `Progress.listed` are valid.
+    """Hazards that it could approach within `NEAR_PATH` before the next listing; the first `Progress.listed` are valid.
 
     Shape (worlds, UGVs, hazards).
     """

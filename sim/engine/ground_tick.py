@@ -15,7 +15,7 @@ from sim.engine.world_state import BatchState, BatchTables, Vehicle, WorldParame
 from sim.models.field import accumulate
 from sim.models.ground import CERTIFIED, CLEAR, UNSEEN, TileArray, state_at, tile_index
 from sim.models.hazards import BLOCK, ROUGH, crosses_hazard, rough_share
-from sim.models.randomness import GROUND_LOOK, TILE_CHANCE, WordArray, key_of, uniform
+from sim.models.randomness import GROUND_UPDATE, TILE_CHANCE, WordArray, key_of, uniform
 from sim.models.sensor import SensorParameters
 from sim.models.shadows import Occlusion
 
@@ -53,7 +53,7 @@ def _reported_state(
         chance, wrong = parameters.miss, CLEAR
     if chance == 0.0:
         return state
-    key = key_of(keys, GROUND_LOOK)
+    key = key_of(keys, GROUND_UPDATE)
     return wrong if uniform(key, TILE_CHANCE, row, column) < chance else state
 
 
@@ -89,8 +89,8 @@ def _update_sensor(
         settings.period * numbers.dt,
         occlusion,
     )
-    first_row, end_row = _tile_range(y, sensor.reach, settings.tile, looked.shape[0])
-    first, end = _tile_range(x, sensor.reach, settings.tile, looked.shape[1])
+    first_row, end_row = _tile_range(y, sensor.sensing_range, settings.tile, looked.shape[0])
+    first, end = _tile_range(x, sensor.sensing_range, settings.tile, looked.shape[1])
     for row in range(first_row, end_row):
         sums, states, news = looked[row, first:end], known[row, first:end], 0
         for i in range(sums.size):  # count first, vectorized: mostly there are none

@@ -20,16 +20,16 @@ from sim.models.ground import (
     CLEAR,
     NO_STOP,
     NOT_OWN,
+    PATH_UNKNOWN,
     UNCERTIFIED,
     UNSEEN,
-    WAY_UNKNOWN,
     tile_index,
 )
 from sim.models.hazards import BLOCK, FOUND, ROUGH, distance_to_hazard, may_be_within
 from sim.models.polygons import path_distance
 from sim.models.vehicles import next_goal, norm
 
-ON_WAY = 2.0
+NEAR_PATH = 2.0
 """Distance below which a hazard counts as on a UGV's path [m]."""
 NEAR_MISS = 0.2
 """Distance below which a blocking hazard that is not touched counts as a near miss [m]."""
@@ -71,10 +71,10 @@ def record_claim(ugvs: RecordArray, ugv: int, claim: int) -> None:
         claim: A constant of `sim.models.ground`. After NOT_OWN no certificate counts as broken: the assumptions ended.
     """
     record = ugvs[ugv]
-    ended = record.claim == CERTIFIED and claim in (WAY_UNKNOWN, NO_STOP)
+    ended = record.claim == CERTIFIED and claim in (PATH_UNKNOWN, NO_STOP)
     record.broken += 1 if ended and record.untrue == 0 else 0
     record.certified += 1 if claim == CERTIFIED else 0
-    record.way_unknown += 1 if claim == WAY_UNKNOWN else 0
+    record.path_unknown += 1 if claim == PATH_UNKNOWN else 0
     record.no_stop += 1 if claim == NO_STOP else 0
     record.not_own += 1 if claim == NOT_OWN else 0
     record.claim = claim
@@ -92,7 +92,7 @@ def keeps_clearance(clearances: RecordArray, ugvs: RecordArray, ugv: int) -> boo
         ugv: Index of the UGV.
     """
     one, progress = clearances[ugv], ugvs[ugv]
-    doubtful = progress.claim == WAY_UNKNOWN or progress.claim == NO_STOP
+    doubtful = progress.claim == PATH_UNKNOWN or progress.claim == NO_STOP
     return not one.needed or (one.guaranteed and not progress.near and not doubtful)
 
 
@@ -159,7 +159,7 @@ def _list_near(hazards: RecordArray, near: TickArray, x: float, y: float) -> int
     for h in range(hazards.shape[0]):
         if hazards[h].kind == 0 or hazards[h].kind == FOUND:
             continue
-        if may_be_within(hazards, h, x, y, ON_WAY + _SKIN + _ROUNDING):
+        if may_be_within(hazards, h, x, y, NEAR_PATH + _SKIN + _ROUNDING):
             near[listed] = h
             listed += 1
     return listed
@@ -208,7 +208,7 @@ def _drive(
             world, ugv, tile_index(y, tile, rows), tile_index(x, tile, columns)
         ]
         row.way += way
-        row.seen_way += way if 0 < received <= tick else 0.0
+        row.seen_length += way if 0 < received <= tick else 0.0
         if (
             row.arrived < 0
             and way < _STILL * ground.strides[row_of(ground.strides.shape[0], world), ugv]
@@ -224,11 +224,11 @@ def _drive(
         row.listed_x, row.listed_y = x, y
     for i in range(row.listed):
         h = ground.near[world, ugv, i]
-        if not may_be_within(ground.hazards[world], h, x, y, ON_WAY):
+        if not may_be_within(ground.hazards[world], h, x, y, NEAR_PATH):
             continue
         away = distance_to_hazard(ground.hazards[world], ground.corners, h, x, y)
         ground.nearest[world, ugv, h] = min(ground.nearest[world, ugv, h], away)
-        if away <= ON_WAY and ground.met[world, ugv, h] == 0:
+        if away <= NEAR_PATH and ground.met[world, ugv, h] == 0:
             ground.met[world, ugv, h] = tick + 1
 
 
@@ -241,7 +241,7 @@ def record_mission(tables: BatchTables, state: BatchState, ground: GroundState, 
 
 
 def _guarantee(row: RecordArray) -> UgvGuarantee:
-    fields = {WAY_UNKNOWN: "way_unknown", NO_STOP: "no_stop", NOT_OWN: "not_own"}
+    fields = {PATH_UNKNOWN: "path_unknown", NO_STOP: "no_stop", NOT_OWN: "not_own"}
     by_reason = {code: int(row[field]) for code, field in fields.items()}
     return UgvGuarantee(
         entered_unknown_tile=int(row["entered"]),
@@ -285,7 +285,7 @@ def mission_of(
         hazards_on_path=int(met.sum()),
         warned=int(before.sum()),
         mean_warning_time=float(ahead.mean() * dt) if ahead.size else None,
-        reported_share=float(ugvs["seen_way"].sum()) / way if way > 0.0 else None,
+        reported_share=float(ugvs["seen_length"].sum()) / way if way > 0.0 else None,
         ground_certified_share=certified / reported if reported else None,
         entered_unknown_tile=int(ugvs["entered"].sum()),
         ground_certificate_broken=int(ugvs["broken"].sum()),

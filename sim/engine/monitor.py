@@ -11,8 +11,8 @@ import numpy as np
 
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray, record_type
-from sim.models.motion import waited
 from sim.models.safety import SafetyBounds
+from sim.models.trajectories import waited
 
 _ROUNDING = 1e-9
 """Tolerance when a measured error is compared with its bound [m]."""
@@ -173,7 +173,7 @@ def record_interval(
     Args:
         bounds, counts: Bounds and counters of the UAV.
         tick: The tick.
-        begins: First tick of the active trajectory; NO_MOTION: none.
+        begins: First tick of the active trajectory; NO_TRAJECTORY: none.
         bare: Tick answered by the bare acceleration that acts instead; NEVER: a trajectory is active.
     """
     if bare != NEVER:

@@ -54,14 +54,14 @@ def discover(
     if not uav.vertical.flies:
         return
     x, y, z = uav.reference_position[0], uav.reference_position[1], uav.vertical.altitude
-    reach = range_at(numbers.sensor.reach, cameras[k].tangent, z)
+    reach = range_at(numbers.sensor.sensing_range, cameras[k].tangent, z)
     rows, corners = building_rows(buildings, world), buildings.corners
     known, sighted = town.known[world, k], town.sighted[world, k]
     for n in range(rows.shape[0]):
         row = rows[n]
         if row["height"] == 0.0 or known[n]:
             continue
-        d_x, d_y, far = row["x"] - x, row["y"] - y, row["reach"] + reach
+        d_x, d_y, far = row["x"] - x, row["y"] - y, row["bounding_radius"] + reach
         if d_x * d_x + d_y * d_y > far * far:
             continue
         missing = 0
@@ -168,13 +168,13 @@ def run_detector(
     """
     world, k, tick = place
     x, y = uav.position[0] - ugv.position[0], uav.position[1] - ugv.position[1]
-    radius, reach, noise = numbers.r_v, numbers.sensor.reach, numbers.sigma
+    radius, reach, noise = numbers.r_v, numbers.sensor.sensing_range, numbers.sigma
     if cameras is not None:
         camera, z = cameras[k], uav.vertical.altitude
         if not _sees(buildings, world, camera, uav, ugv):
             return
         radius = visibility_radius_at(numbers.r_v, camera.tangent, camera.marker_height, z)
-        reach = range_at(numbers.sensor.reach, camera.tangent, z)
+        reach = range_at(numbers.sensor.sensing_range, camera.tangent, z)
         noise = noise_at(numbers.sigma, camera.reference_height, norm(x, y), z)
     _, uav.detection[0], uav.detection[1] = detect(
         x,
@@ -199,7 +199,7 @@ def _roof_below(
     for k in range(buildings.shape[0]):
         row = buildings[k]
         height, d_x, d_y = row["height"], x - row["x"], y - row["y"]
-        if height <= 0.0 or d_x * d_x + d_y * d_y > row["reach"] * row["reach"]:
+        if height <= 0.0 or d_x * d_x + d_y * d_y > row["bounding_radius"] * row["bounding_radius"]:
             continue
         if distance_to_polygon(corners, row["first"], row["corners"], x, y) == 0.0:
             lowest = max(lowest, height + uav.vertical.clearance)
@@ -289,7 +289,7 @@ def view_of(
 ) -> tuple[SensorParameters, Occlusion | None]:
     """Return the sensor of the k-th UAV at its altitude, and the buildings as it sees them; None: there are none."""
     plain, z = numbers.sensor, uav.vertical.altitude
-    sensor = SensorParameters(plain.model, plain.peak, plain.reach)
+    sensor = SensorParameters(plain.model, plain.peak, plain.sensing_range)
     if cameras is not None:
         sensor = sensor_at(sensor, cameras[k], z)
     return sensor, occlusion_of(buildings, world, z)

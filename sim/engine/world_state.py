@@ -14,7 +14,7 @@ from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import Pair, RecordArray, record_type, records
 from sim.engine.briefing import monitored_bounds, ugv_carries
 from sim.engine.space_state import TownState, TownTables, cameras_of
-from sim.models.altitude import VerticalMotion, vertical_motion
+from sim.models.altitude import VerticalState, vertical_state
 from sim.models.field import cover, empty_coverage
 from sim.models.inner_loop import Disturbance
 from sim.models.randomness import RUN_PURPOSES, WordArray
@@ -77,7 +77,7 @@ class Vehicle:
 
     max_speed: float
     max_acceleration: float
-    follows_motions: bool
+    follows_trajectories: bool
     """True if its receiver executes the backup trajectories of commands."""
     delay_ticks: int
     interval_ticks: int
@@ -102,8 +102,8 @@ class Vehicle:
     """Command sent in the next tick [m/s²]."""
     outgoing_tick: int
     """Tick that it answers; -1: none."""
-    outgoing_motion: int
-    outgoing_motions: int
+    outgoing_trajectory: int
+    outgoing_trajectories: int
     """First tick of the last trajectory in the command, -1: none; number of trajectories."""
     detection: Pair
     """Relative position that a UAV has detected at this tick [m]; NaN: none."""
@@ -116,7 +116,7 @@ class Vehicle:
     """Distance of a UAV from its UGV [m], and e(t) (4) with the true p_g [m²], at their last measurement."""
     disturbance: Disturbance
     """Tracking error of a UAV and its causes."""
-    vertical: VerticalMotion
+    vertical: VerticalState
     """Altitude of a UAV, and its climb."""
     keys: Annotated[WordArray, (RUN_PURPOSES, 2)]
     """Keys of its random numbers."""
@@ -154,7 +154,7 @@ class BatchState(NamedTuple):
     """`Vehicle`. Shape (worlds, vehicles)."""
     coverage: FloatArray
     """C of (3) on the grid, summed over all UAVs. Shape (worlds, rows, columns)."""
-    motions: RecordArray
+    trajectories: RecordArray
     """`CheckedTrajectory` of each trajectory in commands; the one that starts in tick k is in row k % rows.
 
     Shape (worlds, vehicles, rows).
@@ -188,14 +188,14 @@ def first_vehicles(scenario: Scenario) -> RecordArray:
     for row, one in zip(vehicles, scenario.vehicles, strict=True):
         row["max_speed"], row["max_acceleration"] = one.max_speed, one.max_acceleration
         row["interval_ticks"] = MOST_TICKS  # the stop of a UGV's trajectory is safe for any time
-        row["follows_motions"] = isinstance(one, Uav) or ugv_carries(scenario, one)
+        row["follows_trajectories"] = isinstance(one, Uav) or ugv_carries(scenario, one)
         if isinstance(one, Uav):
             bounds = monitored_bounds(scenario, one.name)
             row["delay_ticks"], row["interval_ticks"] = bounds.delay_ticks, bounds.interval_ticks
-            row["vertical"] = vertical_motion(altitude_limits(scenario, one))[0]
+            row["vertical"] = vertical_state(altitude_limits(scenario, one))[0]
         row["position"] = row["reference_position"] = one.position
         row["velocity"] = row["reference_velocity"] = one.velocity
-    vehicles["command_tick"] = vehicles["outgoing_tick"] = vehicles["outgoing_motion"] = -1
+    vehicles["command_tick"] = vehicles["outgoing_tick"] = vehicles["outgoing_trajectory"] = -1
     vehicles["detection"] = math.nan
     return vehicles
 

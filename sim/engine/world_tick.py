@@ -22,8 +22,8 @@ from sim.engine.space_tick import (
 from sim.engine.world_state import BatchState, BatchTables, Vehicle, WorldParameters
 from sim.models.field import coverage_error
 from sim.models.inner_loop import step_error
-from sim.models.motion import NO_MOTION, follow_on, motion_command, waited
 from sim.models.randomness import DISTURBANCE, key_of
+from sim.models.trajectories import NO_TRAJECTORY, follow_on, trajectory_command, waited
 from sim.models.vehicles import brake, norm, step_vehicle, within_walls
 from sim.models.wind import draw_disturbance
 
@@ -109,15 +109,15 @@ def measure(tables: BatchTables, state: BatchState, world: int, error: bool) -> 
 
 @compiled
 def _record_arrival(
-    motions: RecordArray, world: int, vehicle: int, last: int, carried: int
+    trajectories: RecordArray, world: int, vehicle: int, last: int, carried: int
 ) -> None:
     """Mark the trajectories of a received command; they start in the tick `last` and the ticks before it.
 
     Trajectories that have started, or whose row holds a later one, stay unmarked.
     """
-    rows = motions.shape[2]
+    rows = trajectories.shape[2]
     for begins in range(max(0, last - min(carried, rows) + 1), last + 1):
-        motion = motions[world, vehicle, begins % rows]
+        motion = trajectories[world, vehicle, begins % rows]
         if motion.begins == begins:
             motion.arrived = 1
 
@@ -130,12 +130,12 @@ def _fly_motion(numbers: WorldParameters, state: BatchState, world: int, v: int)
         False if commands without a trajectory are in effect.
     """
     vehicle, tick = state.vehicles[world, v], state.ticks[world]
-    if state.motions[world, v, tick % state.motions.shape[2]].arrived == 1:
-        follow_on(state.motions[world, v], state.flown[world, v], tick)
+    if state.trajectories[world, v, tick % state.trajectories.shape[2]].arrived == 1:
+        follow_on(state.trajectories[world, v], state.flown[world, v], tick)
     flown = state.flown[world, v, 0]
     if flown.plain == 1:
         return False
-    vehicle.command[0], vehicle.command[1] = motion_command(
+    vehicle.command[0], vehicle.command[1] = trajectory_command(
         flown,
         vehicle.reference_velocity[0],
         vehicle.reference_velocity[1],
@@ -174,21 +174,21 @@ def _exchange_commands(state: BatchState, traces: IntArray, world: int, v: int, 
         packet.stamp = vehicle.outgoing_tick
         packet.vector[0], packet.vector[1] = vehicle.outgoing[0], vehicle.outgoing[1]
         packet.vertical = vehicle.vertical.outgoing
-        packet.plan, packet.plans = vehicle.outgoing_motion, vehicle.outgoing_motions
+        packet.plan, packet.plans = vehicle.outgoing_trajectory, vehicle.outgoing_trajectories
         send(link, state.packets, world, traces, packet)
-        vehicle.outgoing_tick = vehicle.outgoing_motion = -1
-        vehicle.outgoing_motions = 0
+        vehicle.outgoing_tick = vehicle.outgoing_trajectory = -1
+        vehicle.outgoing_trajectories = 0
     for n in range(receive(link, state.packets, world)):
         packet = state.packets[world, row, ARRIVED, n]
-        if vehicle.follows_motions and packet.plan >= 0:
-            _record_arrival(state.motions, world, v, packet.plan, packet.plans)
+        if vehicle.follows_trajectories and packet.plan >= 0:
+            _record_arrival(state.trajectories, world, v, packet.plan, packet.plans)
         if packet.stamp > vehicle.command_tick:
             vehicle.command_tick = int(packet.stamp)
             vehicle.command[0], vehicle.command[1] = packet.vector[0], packet.vector[1]
             vehicle.vertical.command = packet.vertical
-            if vehicle.follows_motions and _acts_bare(state, world, v, int(packet.plan)):
+            if vehicle.follows_trajectories and _acts_bare(state, world, v, int(packet.plan)):
                 flown = state.flown[world, v, 0]
-                flown.begins, flown.plain = NO_MOTION, 1
+                flown.begins, flown.plain = NO_TRAJECTORY, 1
 
 
 @inlined
@@ -203,7 +203,7 @@ def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None
     for v in range(state.vehicles.shape[1]):
         vehicle = state.vehicles[world, v]
         _exchange_commands(state, tables.traces, world, v, uavs + v)
-        if vehicle.follows_motions and _fly_motion(numbers, state, world, v):
+        if vehicle.follows_trajectories and _fly_motion(numbers, state, world, v):
             continue
         if state.ticks[world] - vehicle.command_tick > numbers.hold_ticks:
             velocity = vehicle.reference_velocity

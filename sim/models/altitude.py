@@ -12,7 +12,7 @@ from sim.compiling.compile import compiled
 from sim.compiling.records import Pair, RecordArray, record_type
 
 
-class VerticalMotion:
+class VerticalState:
     """Vertical limits, state and commands of one vehicle, a record; all zero for a vehicle that flies in the plane."""
 
     flies: bool
@@ -107,12 +107,12 @@ def lowest_ahead(altitude: float, rate: float, max_acceleration: float, dt: floa
     return altitude + min(0.0, levelling_height(rate, max_acceleration, dt))
 
 
-def vertical_motion(limits: AltitudeLimits | None) -> RecordArray:
-    """Return the vertical limits and initial state of a UAV as a table of `VerticalMotion`; None: in the plane.
+def vertical_state(limits: AltitudeLimits | None) -> RecordArray:
+    """Return the vertical limits and initial state of a UAV as a table of `VerticalState`; None: in the plane.
 
     Shape (1,).
     """
-    rows: RecordArray = np.zeros(1, record_type(VerticalMotion))
+    rows: RecordArray = np.zeros(1, record_type(VerticalState))
     if limits is not None:
         row = rows[0]
         row["flies"] = True

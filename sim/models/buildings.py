@@ -25,7 +25,7 @@ from sim.models.polygons import (
     lies_inside,
     passes_inside,
     segment_distance2,
-    way_to_polygon,
+    share_to_polygon,
 )
 from sim.models.vehicles import norm
 
@@ -86,7 +86,7 @@ def _may_meet(
     """Return False only if the segment from start to end misses a building's bounding circle."""
     row = buildings[k]
     away2 = segment_distance2(start[0], start[1], end[0], end[1], row["x"], row["y"])
-    return bool(away2 <= row["reach"] * row["reach"])
+    return bool(away2 <= row["bounding_radius"] * row["bounding_radius"])
 
 
 @compiled
@@ -154,7 +154,7 @@ def building_distance(
     nearest = math.inf
     for k in range(buildings.shape[0]):
         row = buildings[k]
-        near = norm(x - row["x"], y - row["y"]) - row["reach"] < nearest
+        near = norm(x - row["x"], y - row["y"]) - row["bounding_radius"] < nearest
         if near and row["height"] > lowest_height:
             distance = distance_to_polygon(corners, row["first"], row["corners"], x, y)
             nearest = min(nearest, distance)
@@ -206,8 +206,8 @@ def cover_footprint(
         value: New value of the cells.
     """
     row = buildings[k]
-    first_row, end_row = chord(row["y"], row["reach"], cell, coverage.shape[0])
-    first, end = chord(row["x"], row["reach"], cell, coverage.shape[1])
+    first_row, end_row = chord(row["y"], row["bounding_radius"], cell, coverage.shape[0])
+    first, end = chord(row["x"], row["bounding_radius"], cell, coverage.shape[1])
     for j in range(first_row, end_row):
         for i in range(first, end):
             x, y = (i + 0.5) * cell, (j + 0.5) * cell
@@ -236,5 +236,5 @@ def path_meets_building(
     for k in range(buildings.shape[0]):
         row = buildings[k]
         if row["height"] > lowest_height and _may_meet(buildings, k, start, end):
-            first = min(first, way_to_polygon(corners, row["first"], row["corners"], start, end))
+            first = min(first, share_to_polygon(corners, row["first"], row["corners"], start, end))
     return first

@@ -90,5 +90,5 @@ def sensor_at(sensor: SensorParameters, camera: CameraParameters, z: float) -> S
     return SensorParameters(
         sensor.model,
         peak_at(sensor.peak, camera.reference_height, z),
-        range_at(sensor.reach, camera.tangent, z),
+        range_at(sensor.sensing_range, camera.tangent, z),
     )

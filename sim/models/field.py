@@ -69,7 +69,7 @@ def density(rho2: float, r_o: float) -> float:
 @compiled
 def _in_registers(sensor: SensorParameters) -> SensorParameters:
     """Return a copy of the parameters, so that a loop that writes does not reload them for each cell."""
-    return SensorParameters(sensor.model, sensor.peak, sensor.reach)
+    return SensorParameters(sensor.model, sensor.peak, sensor.sensing_range)
 
 
 @compiled
@@ -112,9 +112,9 @@ def accumulate(
             them.
     """
     (rows, columns), seeing = coverage.shape, _in_registers(sensor)
-    first_row, chords = disc_chords(p_x, p_y, seeing.reach, cell, rows, columns)
+    first_row, chords = disc_chords(p_x, p_y, seeing.sensing_range, cell, rows, columns)
     if occlusion is not None:
-        shadow = cast_shadow(occlusion, p_x, p_y, seeing.reach, cell, first_row, chords)
+        shadow = cast_shadow(occlusion, p_x, p_y, seeing.sensing_range, cell, first_row, chords)
     for n in range(chords.shape[1]):
         j, first, end = first_row + n, chords[0, n], chords[1, n]
         cells, d_y = coverage[j, first:end], (j + 0.5) * cell - p_y
@@ -160,9 +160,9 @@ def accumulate_with_gain(
     r_o, desired = demand.r_o, demand.desired
     terms = np.empty(columns + LANES)
     total = 0.0
-    first_row, chords = disc_chords(p_x, p_y, seeing.reach, cell, rows, columns)
+    first_row, chords = disc_chords(p_x, p_y, seeing.sensing_range, cell, rows, columns)
     if occlusion is not None:
-        shadow = cast_shadow(occlusion, p_x, p_y, seeing.reach, cell, first_row, chords)
+        shadow = cast_shadow(occlusion, p_x, p_y, seeing.sensing_range, cell, first_row, chords)
     for n in range(chords.shape[1]):
         j, first, end = first_row + n, chords[0, n], chords[1, n]
         y = (j + 0.5) * cell
@@ -259,9 +259,9 @@ def coverage_gradient(
     pulls = np.empty(columns + LANES)
     weights = np.empty(columns + LANES)
     sum_x, sum_y, size = 0.0, 0.0, 0.0
-    first_row, chords = disc_chords(p_ax, p_ay, seeing.reach, cell, rows, columns)
+    first_row, chords = disc_chords(p_ax, p_ay, seeing.sensing_range, cell, rows, columns)
     if occlusion is not None:
-        shadow = cast_shadow(occlusion, p_ax, p_ay, seeing.reach, cell, first_row, chords)
+        shadow = cast_shadow(occlusion, p_ax, p_ay, seeing.sensing_range, cell, first_row, chords)
     for n in range(chords.shape[1]):
         j, first, end = first_row + n, chords[0, n], chords[1, n]
         y = (j + 0.5) * cell
@@ -284,7 +284,7 @@ def coverage_gradient(
         row_weight = lane_sum(weights, first - start, end - first)
         sum_x += lane_sum(pulls, first - start, end - first)
         sum_y += row_weight * d_y
-        size += abs(row_weight) * seeing.reach
+        size += abs(row_weight) * seeing.sensing_range
     area = cell * cell
     return sum_x * area, sum_y * area, size * area
 

@@ -25,13 +25,13 @@ True states are never UNSEEN."""
 OUTSIDE = 5
 """State outside the area, in a picture of tiles. No tile has it."""
 
-NO_CLAIM, CERTIFIED, WAY_UNKNOWN, NO_STOP, NOT_OWN = range(5)
+NO_CLAIM, CERTIFIED, PATH_UNKNOWN, NO_STOP, NOT_OWN = range(5)
 """Claims of a cautious UGV at a tick: none; it stays on tiles known to be drivable, even if commands are lost; its
 stopping path is not known to be drivable; its commands carry no stopping trajectory; it may still execute commands of
 another driver.
 """
 UNCERTIFIED = {
-    WAY_UNKNOWN: "its stopping path is not known to be drivable",
+    PATH_UNKNOWN: "its stopping path is not known to be drivable",
     NO_STOP: "its commands carry no stopping trajectory",
     NOT_OWN: "it may still execute commands of another driver or process",
 }

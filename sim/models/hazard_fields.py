@@ -214,7 +214,7 @@ def place_hazards(
             add_disc(x, y, reach, kind, tile, tiles)
             row = hazards[behind]
             row["kind"], row["share"] = kind, field["share"]
-            row["x"], row["y"], row["radius"], row["reach"] = x, y, radius, radius
+            row["x"], row["y"], row["radius"], row["bounding_radius"] = x, y, radius, radius
             row["first"], row["corners"] = 0, 0
             behind, misses = behind + 1, 0
     for k in range(behind, hazards.shape[0]):

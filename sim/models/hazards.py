@@ -10,7 +10,7 @@ from typing import NamedTuple
 from bus.registry import HAZARDS
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray
-from sim.models.polygons import distance_to_polygon, way_to_edges
+from sim.models.polygons import distance_to_polygon, share_to_edges
 from sim.models.vehicles import norm
 
 ROUGH, BLOCK, FOUND = HAZARDS["rough"].code, HAZARDS["block"].code, HAZARDS["find"].code
@@ -36,7 +36,7 @@ class HazardRow(NamedTuple):
     """Center of the disc, or of a circle around the polygon [m]."""
     radius: float
     """Radius of the disc [m]; 0: a polygon."""
-    reach: float
+    bounding_radius: float
     """Radius of a circle around (x, y) that contains the hazard [m]."""
     first: int
     """Row of its first corner in the table of corners."""
@@ -76,7 +76,7 @@ def may_be_within(hazards: RecordArray, k: int, x: float, y: float, distance: fl
     Other arguments as in `distance_to_hazard`.
     """
     row = hazards[k]
-    d_x, d_y, far = x - row["x"], y - row["y"], row["reach"] + distance
+    d_x, d_y, far = x - row["x"], y - row["y"], row["bounding_radius"] + distance
     return bool(d_x * d_x + d_y * d_y <= far * far)
 
 
@@ -123,7 +123,7 @@ def rough_share(hazards: RecordArray, corners: FloatArray, x: float, y: float) -
 
 
 @compiled
-def way_to_hazard(
+def share_to_hazard(
     hazards: RecordArray,
     corners: FloatArray,
     k: int,
@@ -155,7 +155,7 @@ def way_to_hazard(
             return first
         way = (-half - math.sqrt(square)) / length2
         return min(first, way) if 0.0 <= way <= 1.0 else first
-    return min(first, way_to_edges(corners, row["first"], row["corners"], start, end))
+    return min(first, share_to_edges(corners, row["first"], row["corners"], start, end))
 
 
 @compiled
@@ -183,7 +183,7 @@ def crosses_hazard(
     for k in range(hazards.shape[0]):
         near = may_be_within(hazards, k, start[0], start[1], length + TOUCH)
         if near and hazards[k]["kind"] == kind:
-            way = way_to_hazard(hazards, corners, k, start, end)
+            way = share_to_hazard(hazards, corners, k, start, end)
             if way < first:
                 found, first = k, way
     return found, first

@@ -119,7 +119,7 @@ def passes_inside(
 
 
 @compiled
-def way_to_edges(
+def share_to_edges(
     corners: FloatArray,
     first: int,
     count: int,
@@ -149,7 +149,7 @@ def way_to_edges(
 
 
 @compiled
-def way_to_polygon(
+def share_to_polygon(
     corners: FloatArray,
     first: int,
     count: int,
@@ -158,13 +158,13 @@ def way_to_polygon(
 ) -> float:
     """Return the share of the segment from start to end at which it first touches a polygon; infinite: never.
 
-    Arguments as in `way_to_edges`.
+    Arguments as in `share_to_edges`.
     """
     if distance_to_polygon(corners, first, count, start[0], start[1]) == 0.0:
         return 0.0
     # rounding may hide a corner that the segment enters through
     inside = distance_to_polygon(corners, first, count, end[0], end[1]) == 0.0
-    return min(1.0 if inside else math.inf, way_to_edges(corners, first, count, start, end))
+    return min(1.0 if inside else math.inf, share_to_edges(corners, first, count, start, end))
 
 
 @compiled
@@ -177,9 +177,9 @@ def path_distance(
 ) -> float:
     """Return the distance of the segment from start to end from a polygon [m]; 0 if they touch.
 
-    Arguments as in `way_to_edges`.
+    Arguments as in `share_to_edges`.
     """
-    if way_to_polygon(corners, first, count, start, end) < math.inf:
+    if share_to_polygon(corners, first, count, start, end) < math.inf:
         return 0.0
     nearest = min(
         distance_to_polygon(corners, first, count, start[0], start[1]),

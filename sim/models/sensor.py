@@ -23,7 +23,7 @@ class SensorParameters(NamedTuple):
     """Index of its row in `SENSORS`."""
     peak: float
     """M_a, the quality directly below the UAV [1/s]."""
-    reach: float
+    sensing_range: float
     """Range r [m]."""
 
 
@@ -37,12 +37,12 @@ def sensor_parameters(sensor: Sensor) -> SensorParameters:
 @compiled
 def sensor_quality(sensor: SensorParameters, rho2: float) -> float:
     r"""Return the sensor quality $S_a$ at squared distance $\rho^2$ [m²] from the UAV [1/s]."""
-    quality: float = _quality(sensor.model, (rho2, sensor.peak, sensor.reach))
+    quality: float = _quality(sensor.model, (rho2, sensor.peak, sensor.sensing_range))
     return quality
 
 
 @compiled
 def sensor_slope(sensor: SensorParameters, rho2: float) -> float:
     r"""Return the slope $dS_a/d\rho^2$ [1/(s m²)] of the sensor quality, used in (6)."""
-    slope: float = _slope(sensor.model, (rho2, sensor.peak, sensor.reach))
+    slope: float = _slope(sensor.model, (rho2, sensor.peak, sensor.sensing_range))
     return slope

@@ -214,7 +214,7 @@ def cast_shadow(
         if not occlusion.known[k]:
             continue
         row = occlusion.buildings[k]
-        d_x, d_y, far = row["x"] - x, row["y"] - y, row["reach"] + radius
+        d_x, d_y, far = row["x"] - x, row["y"] - y, row["bounding_radius"] + radius
         if d_x * d_x + d_y * d_y <= far * far:
             _add_building(outlines, occlusion, k, camera, per_cell, bottom)
     for n in range(rows):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from sim.compiling.compile import FloatArray, compiled
 
 
-class Motion(NamedTuple):
+class State(NamedTuple):
     """Position and velocity of a vehicle."""
 
     p_x: float

@@ -19,9 +19,9 @@ _ROUNDING = 1e-6
 """Relative tolerance when a command is compared with its bound: policies may answer in single precision."""
 
 
-def _largest(motions: Iterable[BackupTrajectory]) -> float:
+def _largest(trajectories: Iterable[BackupTrajectory]) -> float:
     """Return the square of the largest acceleration of these trajectories [m²/s⁴]."""
-    accelerations = ((one.acceleration, one.turning, one.braking) for one in motions)
+    accelerations = ((one.acceleration, one.turning, one.braking) for one in trajectories)
     return max(x * x + y * y for three in accelerations for x, y in three)
 
 

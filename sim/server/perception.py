@@ -35,7 +35,7 @@ class News:
 
 
 _NO_NEWS = News()
-OwnMotion = tuple[Vector, Vector, Vector]
+OwnState = tuple[Vector, Vector, Vector]
 """Reference position [m] and velocity [m/s] of a vehicle, and its altitude [m] with its climb rate [m/s]."""
 
 
@@ -112,7 +112,7 @@ class Perception(ABC):
             for tick, ((x, y, v_x, v_y), (z, rate)) in enumerate(rows, begin)
         )
 
-    def _common(self, tick: int, motion: OwnMotion, *, known: bool, over: bool) -> dict[str, Any]:
+    def _common(self, tick: int, motion: OwnState, *, known: bool, over: bool) -> dict[str, Any]:
         """Return the fields of `VehicleObservation`; arguments as in `_observation`."""
         return {
             "tick": tick,
@@ -131,7 +131,7 @@ class Perception(ABC):
     def _observation(
         self,
         tick: int,
-        motion: OwnMotion,
+        motion: OwnState,
         arrived: tuple[Any, ...] = (),
         *,
         known: bool = True,
@@ -169,7 +169,7 @@ class UavPerception(Perception):
     def _observation(
         self,
         tick: int,
-        motion: OwnMotion,
+        motion: OwnState,
         arrived: tuple[Detection, ...] = (),
         *,
         known: bool = True,
@@ -218,7 +218,7 @@ class UgvPerception(Perception):
     def _observation(
         self,
         tick: int,
-        motion: OwnMotion,
+        motion: OwnState,
         arrived: tuple[RelativeInformation, ...] = (),
         *,
         known: bool = True,

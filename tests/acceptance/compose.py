@@ -224,7 +224,7 @@ fly(credential.party, Hover, connect=os.environ["OUTRIDER_CONNECT"], run=os.envi
 credential=credential)
 """
 LOSSY = """
-title = "Commands that are lost and carry motions, detections over a recorded link"
+title = "Commands that are lost and carry trajectories, detections over a recorded link"
 duration = 60.0
 [detections]
 noise = 0.1

@@ -17,7 +17,7 @@ from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray, records
 from sim.models.vehicles import brake
 
-NO_MOTION = -1
+NO_TRAJECTORY = -1
 """Value of `begins` without a trajectory: the vehicle comes to rest."""
 
 
@@ -42,14 +42,14 @@ class CheckedTrajectory(BackupTrajectory, frozen=True):
 
 NO_CHECKED = records(
     CheckedTrajectory,
-    [CheckedTrajectory(begins=NO_MOTION, parent=NO_MOTION, acceleration=(0.0, 0.0))],
+    [CheckedTrajectory(begins=NO_TRAJECTORY, parent=NO_TRAJECTORY, acceleration=(0.0, 0.0))],
 )
 """Empty row of `CheckedTrajectory`. Shape (1,)."""
 _LOCAL = NO_CHECKED[0].tolist()[: -len(BackupTrajectory.__struct_fields__)]
 """Values of the fields that are not sent; they come first."""
 
 
-def no_motions(*shape: int) -> RecordArray:
+def no_trajectories(*shape: int) -> RecordArray:
     """Return empty rows of `CheckedTrajectory`."""
     rows: RecordArray = np.empty(shape, dtype=NO_CHECKED.dtype)
     rows[...] = NO_CHECKED[0]
@@ -57,20 +57,20 @@ def no_motions(*shape: int) -> RecordArray:
 
 
 @compiled
-def clear_motions(rows: RecordArray) -> None:
+def clear_trajectories(rows: RecordArray) -> None:
     """Empty all rows."""
     for k in range(rows.shape[0]):
         rows[k] = NO_CHECKED[0]
 
 
 @compiled
-def motion_command(
+def trajectory_command(
     motion: CheckedTrajectory, v_x: float, v_y: float, u_max: float, dt: float
 ) -> tuple[float, float]:
     """Return the acceleration [m/s²] of a vehicle that executes this trajectory, at its age.
 
     Args:
-        motion: Row of a table. If `begins` is NO_MOTION, the vehicle comes to rest.
+        motion: Row of a table. If `begins` is NO_TRAJECTORY, the vehicle comes to rest.
         v_x, v_y: Velocity of the vehicle [m/s], used to come to rest.
         u_max: Maximum acceleration of the vehicle [m/s²].
         dt: Duration of a tick [s].
@@ -93,23 +93,23 @@ def waited(tick: int, begins: int, delay_ticks: int) -> int:
 
     Args:
         tick: The tick.
-        begins: First tick of the active trajectory; NO_MOTION: the vehicle is at rest, from just before the first may
-            start.
+        begins: First tick of the active trajectory; NO_TRAJECTORY: the vehicle is at rest, from just before the first
+            may start.
         delay_ticks: Ticks from a command to the start of its trajectory.
     """
     return tick - (begins if begins >= 0 else delay_ticks - 1)
 
 
 @compiled
-def follow_on(motions: RecordArray, flown: RecordArray, tick: int) -> bool:
+def follow_on(trajectories: RecordArray, flown: RecordArray, tick: int) -> bool:
     """Start this tick's trajectory if its parent is active; return whether it did.
 
     Args:
-        motions: The trajectory that starts in tick k is in row k % rows.
+        trajectories: The trajectory that starts in tick k is in row k % rows.
         flown: Active trajectory, a table of one row; changed.
         tick: Current tick.
     """
-    due = motions[tick % motions.shape[0]]
+    due = trajectories[tick % trajectories.shape[0]]
     if due.begins != tick or due.parent != flown[0].begins:
         return False
     flown[0] = due
@@ -118,23 +118,23 @@ def follow_on(motions: RecordArray, flown: RecordArray, tick: int) -> bool:
 
 
 @compiled
-def keep_motion(motions: RecordArray, motion: CheckedTrajectory, tick: int) -> None:
+def keep_trajectory(trajectories: RecordArray, motion: CheckedTrajectory, tick: int) -> None:
     """Store a sent trajectory until its start; one that is stored already stays unchanged.
 
     A trajectory beyond the buffer, or whose first tick has passed, is ignored.
 
     Args:
-        motions: The trajectory that starts in tick k is in row k % rows; changed.
+        trajectories: The trajectory that starts in tick k is in row k % rows; changed.
         motion: Row of a table.
         tick: Current tick.
     """
-    begins, rows = motion.begins, motions.shape[0]
-    if tick <= begins < tick + rows and motions[begins % rows].begins != begins:
-        motions[begins % rows] = motion
-        motions[begins % rows].arrived = 0
+    begins, rows = motion.begins, trajectories.shape[0]
+    if tick <= begins < tick + rows and trajectories[begins % rows].begins != begins:
+        trajectories[begins % rows] = motion
+        trajectories[begins % rows].arrived = 0
 
 
-def received_motion(trajectory: BackupTrajectory) -> RecordArray:
+def received_trajectory(trajectory: BackupTrajectory) -> RecordArray:
     """Return a trajectory from a message as a table of one row."""
     row: RecordArray = NO_CHECKED.copy()
     row[0] = (*_LOCAL, *msgspec.structs.astuple(trajectory))

@@ -22,7 +22,7 @@ from bus.messages.scenario import Area, SafetyParameters
 from bus.messages.vehicle import MOST_CARRIED, UavBriefing
 from flights import DECLARED_BOUNDS, DT, U_A, briefing_of, certified, escort, uav_sees
 from sim.engine.batch import arrays_of
-from sim.models.vehicles import Motion
+from sim.models.vehicles import State
 from sim.scenario.types import Certificate, LinkTable, Uav
 from sim.world import World
 
@@ -43,9 +43,9 @@ def observed(tick, *found):
     return uav_sees(tick, *detections, position=(20.0 + 0.01 * tick, 20.0))
 
 
-def at(x: float, y: float) -> Motion:
+def at(x: float, y: float) -> State:
     """Return a UAV at rest."""
-    return Motion(x, y, 0.0, 0.0)
+    return State(x, y, 0.0, 0.0)
 
 
 def kept_detections(memory: FilterMemory) -> list[tuple[float, float, int]]:
@@ -57,7 +57,7 @@ def kept_detections(memory: FilterMemory) -> list[tuple[float, float, int]]:
 def test_reset_memory_equals_a_new_one(delay: float) -> None:
     bounds = bounds_of(declared(delay))
     fresh, used = filter_memory(bounds.delay_ticks, 8), filter_memory(bounds.delay_ticks, 8)
-    decide(bounds, used, 0, Motion(20.0, 20.0, 0.1, 0.0), 0.1, 0.0)
+    decide(bounds, used, 0, State(20.0, 20.0, 0.1, 0.0), 0.1, 0.0)
     decision = decision_of(used.decision[0])
     assert (decision.source, decision.reason) == (Source.BEST_EFFORT, NotCertified.NO_MEASUREMENT)
     assert decision.certified_distance is None
@@ -149,9 +149,9 @@ class Vehicle:
         )
         self.filter.see(seen)
         decision = self.filter.filter(seen, wanted)
-        motions = () if self._bare else self.filter.backup_trajectories(tick)
+        trajectories = () if self._bare else self.filter.backup_trajectories(tick)
         if not lose:
-            world.send(0, tick, decision.acceleration, motions)
+            world.send(0, tick, decision.acceleration, trajectories)
         world.advance()
         return decision.reason
 
