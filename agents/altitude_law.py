@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from agents.control.altitude import ABOVE_FLOOR, PERIOD, best_altitude, climb_to
+from agents.control.altitude import ABOVE_FLOOR, PERIOD, MapWeights, best_altitude, climb_to
 from agents.safety.levels import least_altitude, levels_of, lowest_certified
 from agents.uav_parameters import Target, UavParameters
 from bus.messages.vehicle import UavBriefing
@@ -47,15 +47,15 @@ def altitude_parameters(briefing: UavBriefing, uav: UavParameters) -> AltitudePa
     Raises:
         ValueError: If the UAV flies in the plane.
     """
-    own, camera = briefing.altitude, briefing.camera
-    if own is None or camera is None:
+    limits, camera = briefing.altitude, briefing.camera
+    if limits is None or camera is None:
         raise ValueError("the UAV flies in the plane: it has no altitude to control")
     certified = lowest_certified(briefing)
     floor = least_altitude(briefing) if certified is None else certified
-    top = own.max_altitude if certified is None else float(levels_of(briefing)["floor"][-1])
-    lowest = min(floor + ABOVE_FLOOR, own.max_altitude)
+    top = limits.max_altitude if certified is None else float(levels_of(briefing)["floor"][-1])
+    lowest = min(floor + ABOVE_FLOOR, limits.max_altitude)
     return AltitudeParameters(
-        law=ALTITUDE_LAWS.index(own.law),
+        law=ALTITUDE_LAWS.index(limits.law),
         lowest=lowest,
         highest=max(top, lowest),
         sensor=uav.sensor,
@@ -78,8 +78,8 @@ def vertical_command(
     parameters: AltitudeParameters,
     memory: AltitudeMemory,
     tick: int,
-    here: State,
-    own: VerticalState,
+    own: State,
+    vertical: VerticalState,
     coverage: FloatArray,
     target: Target,
     occlusion: Occlusion | None = None,
@@ -91,7 +91,7 @@ def vertical_command(
         parameters: Altitude law and camera.
         memory: Memory of the altitude law, changed in place.
         tick: Current tick.
-        here, own: Horizontal and vertical state of the UAV.
+        own, vertical: Horizontal and vertical state of the UAV.
         coverage: Its own map. Shape (rows, columns).
         target: Estimate of the UGV.
         occlusion: Known buildings; None: there are none.
@@ -104,12 +104,19 @@ def vertical_command(
             memory.compared = tick
             memory.goal = best_altitude(
                 coverage,
-                (here.p_x, here.p_y),
+                (own.p_x, own.p_y),
                 (target.p_x, target.p_y),
-                (uav.density_radius, uav.desired_coverage, uav.cell),
+                MapWeights(uav.density_radius, uav.desired_coverage, uav.cell),
                 parameters.sensor,
                 parameters.camera,
                 (parameters.lowest, parameters.highest),
                 occlusion,
             )
-    return climb_to(own.altitude, own.rate, memory.goal, own.max_rate, own.max_acceleration, uav.dt)
+    return climb_to(
+        vertical.altitude,
+        vertical.rate,
+        memory.goal,
+        vertical.max_rate,
+        vertical.max_acceleration,
+        uav.dt,
+    )

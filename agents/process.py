@@ -225,7 +225,7 @@ class _Connection:
                         "no briefing in %d s%s",
                         _BRIEFING_WARNING,
                         f": another session of {self._session.party.name} joined first and keeps the slot"
-                        if self._session.place
+                        if self._session.number
                         else "",
                     )
                 continue

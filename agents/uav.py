@@ -13,6 +13,7 @@ from agents.estimation.map_updates import MapUpdateScheduler
 from agents.estimation.own_map import own_map
 from agents.laws.policy import PolicyControl, TargetEstimate, UavPolicy
 from agents.laws.selection import SelectedLaw
+from agents.safety.altitude import Acceleration
 from agents.safety.safety_filter import SafetyFilter
 from agents.uav_constants import uav_constants
 from agents.uav_inputs import KnownBuildings, UavInputs, uav_inputs
@@ -157,7 +158,7 @@ class UavPilot:
         acceleration, vertical, decision = nominal[:2], nominal[2], None
         backups: tuple[BackupTrajectory, ...] = ()
         if self.filter is not None:
-            decision = self.filter.decide(inputs, nominal)
+            decision = self.filter.decide(inputs, Acceleration(*nominal))
             acceleration, vertical = decision.acceleration, decision.vertical_acceleration
             backups = self.filter.backup_trajectories(tick)
         estimate = self._estimate

@@ -64,8 +64,8 @@ def _adjust_sensor(
 ) -> None:
     """Set the sensor to the altitude of the UAV."""
     if altitude is not None and vertical is not None and vertical.flies:
-        own: AltitudeParameters = altitude[0]
-        found = sensor_at(own.sensor, own.camera, vertical.altitude)
+        parameters: AltitudeParameters = altitude[0]
+        found = sensor_at(parameters.sensor, parameters.camera, vertical.altitude)
         sensor: Any = uav.sensor
         sensor.peak, sensor.sensing_range = found.peak, found.sensing_range
 

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 from bus import registry
 from outrider.closed_loop.closed_loop import ClosedLoop
-from outrider.style import law_color, law_mark, look, new_figure, save
+from outrider.style import law_color, law_mark, new_figure, plot_style, save
 from sim.scenario.loading import load_scenario
 
 ALTITUDES = (6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 16.0, 20.0, 24.0)
@@ -108,7 +108,7 @@ def _lines(axes: Axes, rows: Sequence[Row], field: str, scale: float, style: str
 
 def draw(rows: Sequence[Row], path: Path) -> None:
     """Plot mean e(t), certified ticks and mission times against the altitude."""
-    with look():
+    with plot_style():
         save(_drawn(rows), path)
 
 

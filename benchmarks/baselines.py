@@ -25,7 +25,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecNormalize
 
 import outrider
-from outrider.style import INK, MUTED, UAV, look, new_figure, save
+from outrider.style import INK, MUTED, UAV, new_figure, plot_style, save
 from outrider_learning.egocentric import Egocentric
 from outrider_learning.networks import load_npz_policy, save_network
 from outrider_learning.repeat import ActionRepeat
@@ -221,7 +221,7 @@ def table(out: Path) -> Iterator[str]:
 def draw(out: Path) -> None:
     """Draw the validation scores of all trainings over their processor time."""
     found = results(out)
-    with look():
+    with plot_style():
         figure = new_figure(1180, 420)
         axes = figure.subplots(1, len(BASELINES), sharey=True)
         for panel, baseline in zip(axes, BASELINES, strict=True):

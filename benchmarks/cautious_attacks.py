@@ -66,7 +66,7 @@ class Outcome:
     """Ticks with a point in a tile not known to be drivable, or not known to be so far from blocked ones."""
     near: int
     """Ticks with a point within the clearance of a blocked tile."""
-    way: float
+    driven: float
     """Length of the path [m]."""
     ticks: int
     """Ticks until the last goal was reached, or until the end."""
@@ -89,26 +89,28 @@ class Teller:
         if len(rows):
             record_tiles(self.memory, rows, columns, self.trial.truth[rows, columns])
 
-    def _near(self, x: float, y: float, reach: float) -> npt.NDArray[np.bool_]:
+    def _near(self, x: float, y: float, sensing_range: float) -> npt.NDArray[np.bool_]:
         s = self.trial.parameters.tile
         d_x = np.maximum(np.maximum(self._low_x - x, x - self._low_x - s), 0.0)
         d_y = np.maximum(np.maximum(self._low_y - y, y - self._low_y - s), 0.0)
-        return d_x[None, :] ** 2 + d_y[:, None] ** 2 <= reach * reach
+        return d_x[None, :] ** 2 + d_y[:, None] ** 2 <= sensing_range * sensing_range
 
     def reveal(self, tick: int, x: float, y: float, speed: float) -> None:
         """Reveal tiles at a tick, given the UGV's position [m] and speed [m/s]."""
-        teller, reach, rng = self.trial.teller, self.trial.reach, self.rng
+        teller, sensing_range, rng = self.trial.teller, self.trial.sensing_range, self.rng
         if teller == "all":
             if tick == 0:
                 self._reveal(np.ones_like(self._hidden))
         elif teller == "nothing for long":
             if tick >= self._wakes:
-                self._reveal(self._near(x, y, 4.0 * reach))
+                self._reveal(self._near(x, y, 4.0 * sensing_range))
         elif teller == "all but some":
-            self._reveal(~self._hidden | (self._near(x, y, reach) & (rng.random() < 0.1)))
+            self._reveal(~self._hidden | (self._near(x, y, sensing_range) & (rng.random() < 0.1)))
         elif teller == "at rest only":
             if speed < 1e-9:
-                self._reveal(self._near(x, y, reach) & (rng.random(self._hidden.shape) < 0.5))
+                self._reveal(
+                    self._near(x, y, sensing_range) & (rng.random(self._hidden.shape) < 0.5)
+                )
         elif teller == "any order":
             self._reveal(self._near(x, y, 0.0))
             i, j = (int(rng.integers(0, 1 + n // 8)) for n in self._hidden.shape)
@@ -118,18 +120,18 @@ class Teller:
             block[rng.random((8, 8)) < 0.9] = UNSEEN
             record_block(self.memory, i, j, block.reshape(-1))
         else:
-            self._reveal(self._near(x, y, reach))
+            self._reveal(self._near(x, y, sensing_range))
 
 
 def _wanted(
-    trial: Trial, rng: np.random.Generator, before: tuple[float, float], here: State
+    trial: Trial, rng: np.random.Generator, before: tuple[float, float], own: State
 ) -> tuple[float, float]:
     """Return the adversary's nominal control [m/s²]: straight on, a sharp turn, or anything."""
     u = min(trial.parameters.max_acceleration, trial.parameters.max_speed / trial.parameters.dt)
-    speed = norm(here.v_x, here.v_y)
+    speed = norm(own.v_x, own.v_y)
     if trial.wheel == "swerve" and speed > 0.2 * trial.parameters.max_speed:
         side = rng.choice([-1.0, 1.0])
-        return -side * u * here.v_y / speed, side * u * here.v_x / speed
+        return -side * u * own.v_y / speed, side * u * own.v_x / speed
     if trial.wheel != "noise" and rng.random() < 0.97 and before != (0.0, 0.0):
         return before
     angle = rng.choice([rng.uniform(0.0, 2.0 * math.pi), 0.25 * math.pi * rng.integers(8)])
@@ -168,7 +170,7 @@ class Receiver:
         late = int(self._rng.integers(0, self._delay + 3))  # at most two ticks too late
         self._coming.setdefault(tick + late, []).extend(packet)
 
-    def act(self, tick: int, here: State, parameters: Ugv) -> tuple[float, float]:
+    def act(self, tick: int, own: State, parameters: Ugv) -> tuple[float, float]:
         """Return the command of this tick [m/s²]: the due trajectory's if it arrived and its parent is committed."""
         for begins, parent, u_x, u_y in self._coming.pop(tick, []):
             if begins >= tick:
@@ -177,16 +179,16 @@ class Receiver:
         if due is not None and due[0] == self.flown:
             self.flown = tick
             return due[1], due[2]
-        return brake(here.v_x, here.v_y, parameters.max_acceleration, parameters.dt)
+        return brake(own.v_x, own.v_y, parameters.max_acceleration, parameters.dt)
 
 
 def _filtered_by(
-    check: Check | None, trial: Trial, memory: OccupancyGrid, tick: int, here: State,
+    check: Check | None, trial: Trial, memory: OccupancyGrid, tick: int, own: State,
     wanted: tuple[float, float], flown: int,
 ) -> tuple[float, float]:  # fmt: skip
     """Return the nominal control if it is safe, else the braking one: by the filter, or by another check."""
     parameters = trial.parameters
-    ahead, parent = state_ahead(parameters, memory, tick, here, flown)
+    ahead, parent = state_ahead(parameters, memory, tick, own, flown)
     ground = open_to(0)
     if check is None:
         ground = open_from(memory, parameters.tile, parameters.bold, ahead.p_x, ahead.p_y)
@@ -225,49 +227,49 @@ def fly(
     )
     teller = Teller(trial, memory, rng)
     known = np.full(trial.truth.shape, LATER)
-    here, way, tick = State(*trial.start, 0.0, 0.0), 0.0, 0
-    queue, states, wanted = [(0.0, 0.0)] * trial.delay, [here], (0.0, 0.0)
+    own, driven, tick = State(*trial.start, 0.0, 0.0), 0.0, 0
+    queue, states, wanted = [(0.0, 0.0)] * trial.delay, [own], (0.0, 0.0)
     receiver = Receiver(memory, rng) if lossy else None
     flown = PLAIN if receiver is None else NO_TRAJECTORY
     last, reached = trial.goals[-1], False
     claim, broken = NO_CLAIM, 0
     for tick in range(trial.ticks):
-        teller.reveal(tick, here.p_x, here.p_y, norm(here.v_x, here.v_y))
+        teller.reveal(tick, own.p_x, own.p_y, norm(own.v_x, own.v_y))
         fresh = (known == LATER) & (memory.tiles != UNSEEN) & (memory.tiles != BLOCK)
         known[fresh] = tick
         if check is None and trial.wheel == "plan":
-            u = navigate_control(parameters, memory, trial.goals, tick, here, flown)
+            u = navigate_control(parameters, memory, trial.goals, tick, own, flown)
             at_last = memory.flags[0]["goal"] == len(trial.goals) - 1
-            reached = at_last and math.dist(here[:2], last) < parameters.goal_tolerance
+            reached = at_last and math.dist(own[:2], last) < parameters.goal_tolerance
             if reached and trial.ticks > 1000:
                 break
         else:
-            wanted = _wanted(trial, rng, wanted, here)
-            u = _filtered_by(check, trial, memory, tick, here, wanted, flown)
+            wanted = _wanted(trial, rng, wanted, own)
+            u = _filtered_by(check, trial, memory, tick, own, wanted, flown)
         before, claim = claim, int(memory.flags[0]["claim"])
         broken += before == CERTIFIED and claim == PATH_UNKNOWN
         queue.append(u)
         u_x, u_y = queue.pop(0)
         if receiver is not None:
             receiver.send(tick)
-            u_x, u_y = receiver.act(tick, here, parameters)
+            u_x, u_y = receiver.act(tick, own, parameters)
             flown = receiver.flown
         v_max = parameters.max_speed
-        if is_rough(trial, here.p_x, here.p_y):
+        if is_rough(trial, own.p_x, own.p_y):
             v_max *= rng.uniform(trial.slowest, 1.0)
         x, y, v_x, v_y, _, _ = step_vehicle(
-            *here, u_x, u_y, v_max, parameters.max_acceleration, parameters.dt
+            *own, u_x, u_y, v_max, parameters.max_acceleration, parameters.dt
         )
         (x, v_x), (y, v_y) = (
             within_walls(x, v_x, parameters.width),
             within_walls(y, v_y, parameters.height),
         )
-        way += math.dist((x, y), here[:2])
-        here = State(x, y, v_x, v_y)
-        states.append(here)
+        driven += math.dist((x, y), own[:2])
+        own = State(x, y, v_x, v_y)
+        states.append(own)
     near = int(near_ticks(trial, states).sum()) if trial.clearance > 0.0 else 0
     entered = int(entered_ticks(trial, known, states).sum())
-    return Outcome(broken, entered, near, way, tick, bool(reached))
+    return Outcome(broken, entered, near, driven, tick, bool(reached))
 
 
 def is_reachable(trial: Trial) -> bool:
@@ -288,29 +290,27 @@ def is_reachable(trial: Trial) -> bool:
     return bool(np.isfinite(memory.cost[tiles]).all())
 
 
-def _brakes_short(ugv: Ugv, late: bool, t: TileArray, ground: Open, here: State, *u: float) -> bool:
+def _brakes_short(ugv: Ugv, late: bool, t: TileArray, ground: Open, own: State, *u: float) -> bool:
     kept = clip_norm(*u, ugv.max_acceleration)
     return is_safe(
-        changed(ugv, max_acceleration=1.25 * ugv.max_acceleration), late, t, ground, here, *kept
+        changed(ugv, max_acceleration=1.25 * ugv.max_acceleration), late, t, ground, own, *kept
     )
 
 
-def _after(ugv: Ugv, here: State, u_x: float, u_y: float) -> tuple[tuple[float, float], ...]:
+def _after(ugv: Ugv, own: State, u_x: float, u_y: float) -> tuple[tuple[float, float], ...]:
     """Return the positions at the end of the tick and at the stop after it [m]."""
-    x, y, w_x, w_y, _, _ = step_vehicle(
-        *here, u_x, u_y, ugv.max_speed, ugv.max_acceleration, ugv.dt
-    )
+    x, y, w_x, w_y, _, _ = step_vehicle(*own, u_x, u_y, ugv.max_speed, ugv.max_acceleration, ugv.dt)
     speed = norm(w_x, w_y)
     share = braking_distance(speed, ugv.max_acceleration, ugv.dt) / speed if speed else 0.0
     return (x, y), (x + share * w_x, y + share * w_y)
 
 
 def _forgets_corners(
-    ugv: Ugv, late: bool, t: TileArray, ground: Open, here: State, *u: float
+    ugv: Ugv, late: bool, t: TileArray, ground: Open, own: State, *u: float
 ) -> bool:
     """Check the tiles of some points of the path only."""
-    there, end = _after(ugv, here, *u)
-    for (x_0, y_0), (x_1, y_1) in (((here.p_x, here.p_y), there), (there, end)):
+    there, end = _after(ugv, own, *u)
+    for (x_0, y_0), (x_1, y_1) in (((own.p_x, own.p_y), there), (there, end)):
         n = 1 + int(2.0 * math.dist((x_0, y_0), (x_1, y_1)) / ugv.tile)
         for k in range(n + 1):
             x, y = x_0 + k / n * (x_1 - x_0), y_0 + k / n * (y_1 - y_0)
@@ -324,24 +324,24 @@ def _forgets_corners(
 
 
 def _takes_the_chord(
-    ugv: Ugv, late: bool, t: TileArray, ground: Open, here: State, *u: float
+    ugv: Ugv, late: bool, t: TileArray, ground: Open, own: State, *u: float
 ) -> bool:
     """Approximate the path within a tick by a straight line."""
-    there, end = _after(ugv, here, *u)
+    there, end = _after(ugv, own, *u)
     inside = all(0.0 <= x <= ugv.width and 0.0 <= y <= ugv.height for x, y in (there, end))
     return (
         inside
-        and segment_is_open(t, ugv.tile, ground, (here.p_x, here.p_y), there)
+        and segment_is_open(t, ugv.tile, ground, (own.p_x, own.p_y), there)
         and segment_is_open(t, ugv.tile, ground, there, end)
     )
 
 
-def _looks_only_at_now(
-    ugv: Ugv, late: bool, t: TileArray, ground: Open, here: State, *u: float
+def _checks_only_now(
+    ugv: Ugv, late: bool, t: TileArray, ground: Open, own: State, *u: float
 ) -> bool:
     """Check braking from the current state, not from the state after the command."""
     return is_safe(
-        ugv, late, t, ground, here, *brake(here.v_x, here.v_y, ugv.max_acceleration, ugv.dt)
+        ugv, late, t, ground, own, *brake(own.v_x, own.v_y, ugv.max_acceleration, ugv.dt)
     )
 
 
@@ -349,7 +349,7 @@ BROKEN: dict[str, Check] = {
     "brakes too short": _brakes_short,
     "tiles of some points only": _forgets_corners,
     "straight within a tick": _takes_the_chord,
-    "braking from before the command": _looks_only_at_now,
+    "braking from before the command": _checks_only_now,
 }
 """Faulty filters. A filter that ignores the delay of commands is faulty, too."""
 
@@ -369,7 +369,7 @@ def attack(
 ) -> Iterator[str]:
     """Run the attacks and count violations."""
     count = dict.fromkeys(("flights", "entered", "near", "broken", "ticks", "still"), 0)
-    way = 0.0
+    driven = 0.0
     for seed in range(runs):
         trial = draw(seed)
         one = fly(trial, seed, lossy=lossy)
@@ -378,11 +378,11 @@ def attack(
         count["near"] += one.near > 0
         count["broken"] += one.broken
         count["ticks"] += one.ticks + 1
-        count["still"] += one.way == 0.0
-        way += one.way / trial.parameters.tile
+        count["still"] += one.driven == 0.0
+        driven += one.driven / trial.parameters.tile
         if one.entered:
             yield f"seed {seed}: {one.entered} ticks in tiles not known to be drivable"
-    yield f"{count['flights']} runs of {count['ticks']} ticks and {way:.0f} tiles' path"
+    yield f"{count['flights']} runs of {count['ticks']} ticks and {driven:.0f} tiles' path"
     yield f"{count['entered']} of them entered a tile not known to be drivable"
     if draw is draw_distant_trial:
         yield f"{count['near']} of them came as near to a blocked tile as the clearance"
@@ -441,21 +441,21 @@ def _slowest_tick(most: int, ticks: int = 600) -> str:
         draw_trial(3, wheel="plan", calm=True).parameters, width=200.0, height=200.0, tile=0.5, dt=0.05, max_speed=1.0,
         max_acceleration=0.5, plan_ticks=4, bold=1, plan_tiles=most,
     )  # fmt: skip
-    here = State(1.0, 1.0, 0.0, 0.0)
+    own = State(1.0, 1.0, 0.0, 0.0)
     for tick in range(ticks):
         state = np.array([(CLEAR, FOUND)[tick % 2]], np.uint8)
         record_tiles(memory, np.array([399]), np.array([399]), state)
         began = time.perf_counter()
-        u = navigate_control(parameters, memory, goals, tick, here, PLAIN)
+        u = navigate_control(parameters, memory, goals, tick, own, PLAIN)
         took.append(1e3 * (time.perf_counter() - began))
-        here = State(
+        own = State(
             *step_vehicle(
-                *here, *u, parameters.max_speed, parameters.max_acceleration, parameters.dt
+                *own, *u, parameters.max_speed, parameters.max_acceleration, parameters.dt
             )[:4]
         )
     slowest = ", ".join(f"{one:.1f}" for one in sorted(took)[:-4:-1])
-    plans, way = memory.flags[0]["plans"], math.dist(here[:2], (1.0, 1.0))
-    return f"the slowest of {ticks} ticks took {slowest} ms; {plans} plans, {way:.1f} m driven"
+    plans, driven = memory.flags[0]["plans"], math.dist(own[:2], (1.0, 1.0))
+    return f"the slowest of {ticks} ticks took {slowest} ms; {plans} plans, {driven:.1f} m driven"
 
 
 def speed() -> Iterator[str]:
@@ -473,12 +473,12 @@ def speed() -> Iterator[str]:
     trial = draw_trial(3, wheel="plan", calm=True)
     parameters, memory = trial.parameters, occupancy_grid(*trial.truth.shape)
     memory.tiles[:] = trial.truth
-    here, began, ticks = State(*trial.start, 0.0, 0.0), time.perf_counter(), 5000
+    own, began, ticks = State(*trial.start, 0.0, 0.0), time.perf_counter(), 5000
     for tick in range(ticks):
-        u = navigate_control(parameters, memory, trial.goals, tick, here, PLAIN)
-        here = State(
+        u = navigate_control(parameters, memory, trial.goals, tick, own, PLAIN)
+        own = State(
             *step_vehicle(
-                *here, *u, parameters.max_speed, parameters.max_acceleration, parameters.dt
+                *own, *u, parameters.max_speed, parameters.max_acceleration, parameters.dt
             )[:4]
         )
     yield f"a tick on known ground: {1e6 * (time.perf_counter() - began) / ticks:.1f} µs with the vehicle"

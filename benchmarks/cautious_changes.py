@@ -8,7 +8,7 @@ mapped: 10,000 flights with a map of buildings among hazards that the UAV misses
     tiles, or starts in one; in half of them the drivers change, too.
 
 Each flight runs the UGV's pilot; ground, receiver and counters are independent of the simulator. A quarter of an hour
-each. A UGV may end without moving: it knows no drivable way to its next goal, or has reached it, or the link is slower
+each. A UGV may end without moving: it knows no drivable path to its next goal, or has reached it, or the link is slower
 than declared for the rest of the flight.
 """
 
@@ -45,7 +45,7 @@ from sim.models.vehicles import State, brake, step_vehicle, within_walls
 RUNS = 10_000
 _OTHERS = ("teleop", "teleop", "waypoints", "wander")
 _TICKS = 250
-_HOLD = 0.5
+_COMMAND_TIMEOUT = 0.5
 """Time for which the last command stays in effect [s]."""
 
 
@@ -72,10 +72,10 @@ class Link:
     """A vehicle's receiver behind a link, by its description in docs/explanation/proof.md."""
 
     def __init__(self, flight: Flight, rng: np.random.Generator) -> None:
-        self._flight, self._rng, self._hold = (
+        self._flight, self._rng, self._timeout = (
             flight,
             rng,
-            math.floor(_HOLD / flight.trial.parameters.dt),
+            math.floor(_COMMAND_TIMEOUT / flight.trial.parameters.dt),
         )
         self._coming: dict[int, list[UgvCommand]] = {}
         self._stored: dict[int, tuple[int, tuple[float, float]]] = {}
@@ -94,7 +94,7 @@ class Link:
             late = int(self._rng.integers(0, late + 2))
         self._coming.setdefault(tick + late, []).append(command)
 
-    def act(self, tick: int, here: State, u_max: float, dt: float) -> tuple[float, float]:
+    def act(self, tick: int, own: State, u_max: float, dt: float) -> tuple[float, float]:
         """Return the acceleration of this tick [m/s²]."""
         for command in self._coming.pop(tick, []):
             for one in command.backup_trajectories:
@@ -108,9 +108,9 @@ class Link:
         if due is not None and due[0] == self.committed:
             self.committed, self._plain = tick, False
             return due[1]
-        if self._plain and tick - self._newest <= self._hold:
+        if self._plain and tick - self._newest <= self._timeout:
             return self._bare
-        return brake(here.v_x, here.v_y, u_max, dt)
+        return brake(own.v_x, own.v_y, u_max, dt)
 
 
 class Ground:
@@ -130,10 +130,10 @@ class Ground:
     def own(self, x: float, y: float) -> tuple[TileReport, ...]:
         """Return the new reports of the UGV's own sensor at a position [m]."""
         trial = self._flight.trial
-        s, reach = trial.parameters.tile, trial.reach
+        s, sensing_range = trial.parameters.tile, trial.sensing_range
         d_x = np.maximum(np.maximum(self._low_x - x, x - self._low_x - s), 0.0)
         d_y = np.maximum(np.maximum(self._low_y - y, y - self._low_y - s), 0.0)
-        new = (d_x[None, :] ** 2 + d_y[:, None] ** 2 <= reach * reach) & ~self._own
+        new = (d_x[None, :] ** 2 + d_y[:, None] ** 2 <= sensing_range * sensing_range) & ~self._own
         self._own |= new
         self.known[new] = trial.truth[new]
         states = trial.truth
@@ -151,9 +151,9 @@ class Ground:
         block = np.full((BLOCK_SIDE, BLOCK_SIDE), UNSEEN, np.uint8)
         part = self._seen[i : i + BLOCK_SIDE, j : j + BLOCK_SIDE]
         block[: part.shape[0], : part.shape[1]] = part
-        place = slice(i, i + part.shape[0]), slice(j, j + part.shape[1])
-        new = ~self._own[place] & (self.known[place] != BLOCK)
-        self.known[place][new] = part[new]
+        tiles = slice(i, i + part.shape[0]), slice(j, j + part.shape[1])
+        new = ~self._own[tiles] & (self.known[tiles] != BLOCK)
+        self.known[tiles][new] = part[new]
         letters = "".join(TILE_LETTERS[state] for state in block.reshape(-1))
         return (MapUpdate(row=row, column=column, tiles=letters),)
 
@@ -183,11 +183,11 @@ def briefing(flight: Flight) -> UgvBriefing:
         driver=flight.changes[0],
         goals=tuple((float(x), float(y)) for x, y in trial.goals),
         goal_tolerance=float(ugv.goal_tolerance),
-        command_timeout=_HOLD,
+        command_timeout=_COMMAND_TIMEOUT,
         buildings=tuple(Building(polygon=corners, height=3.0) for corners in _footprints(flight)),
         ground=UgvGround(
             tile=s,
-            sensing_range=float(trial.reach),
+            sensing_range=float(trial.sensing_range),
             caution="cautious",
             delay=trial.delay * float(ugv.dt),
             building_clearance=flight.kept,
@@ -237,18 +237,18 @@ def _near_house(flight: Flight, states: list[State]) -> npt.NDArray[np.bool_]:
     return near
 
 
-def _moved(flight: Flight, here: State, u: tuple[float, float], share: float) -> State:
+def _moved(flight: Flight, own: State, u: tuple[float, float], share: float) -> State:
     """Return the state after a tick with a command [m/s²], at this share of the maximum speed."""
     ugv = flight.trial.parameters
     x, y, v_x, v_y, _, _ = step_vehicle(
-        *here, *u, ugv.max_speed * share, ugv.max_acceleration, ugv.dt
+        *own, *u, ugv.max_speed * share, ugv.max_acceleration, ugv.dt
     )
     (x, v_x), (y, v_y) = within_walls(x, v_x, ugv.width), within_walls(y, v_y, ugv.height)
     return State(x, y, v_x, v_y)
 
 
 class Record:
-    """Record of the knowledge, claims and motion of the UGV, tick by tick."""
+    """Record of the knowledge, claims and trajectory of the UGV, tick by tick."""
 
     def __init__(self, flight: Flight) -> None:
         shape = flight.trial.truth.shape
@@ -284,7 +284,7 @@ class Record:
         last = len(claims)
         while last > 0 and self._drivers[last - 1] == "navigate":
             last -= 1
-        way = sum(math.dist(a[:2], b[:2]) for a, b in itertools.pairwise(self.states[last:]))
+        driven = sum(math.dist(a[:2], b[:2]) for a, b in itertools.pairwise(self.states[last:]))
         return Result(
             certified=int(own.sum()),
             broken=0
@@ -295,7 +295,7 @@ class Record:
             entered=int((entered & own).sum()),
             near=near,
             house=int(house.sum()) if set(self._drivers) == {"navigate"} else 0,
-            waits=0 < last <= len(claims) - 60 and way < 0.01 * trial.parameters.tile,
+            waits=0 < last <= len(claims) - 60 and driven < 0.01 * trial.parameters.tile,
         )
 
 
@@ -305,25 +305,25 @@ def fly(flight: Flight, seed: int) -> Result:
     pilot, link, ground = UgvPilot(briefing(flight)), Link(flight, rng), Ground(flight, rng)
     record, driver = Record(flight), flight.changes[0]
     for tick in range(trial.ticks):
-        here, assigned = record.states[-1], flight.changes.get(tick) if tick else None
+        own, assigned = record.states[-1], flight.changes.get(tick) if tick else None
         driver = assigned or driver
         answer = pilot.act(
             UgvObservation(
                 tick=tick,
                 time=tick * float(ugv.dt),
-                position=(here.p_x, here.p_y),
-                velocity=(here.v_x, here.v_y),
+                position=(own.p_x, own.p_y),
+                velocity=(own.v_x, own.v_y),
                 driver=assigned,
-                tile_reports=ground.own(here.p_x, here.p_y),
+                tile_reports=ground.own(own.p_x, own.p_y),
                 map_updates=ground.radioed() if trial.teller != "bumper" else (),
                 operator=_operated(flight, rng) if driver == "teleop" else (),
                 committed_trajectory=None if link.committed < 0 else link.committed,
             )
         )
         link.send(answer)
-        u = link.act(tick, here, ugv.max_acceleration, ugv.dt)
-        share = float(rng.uniform(trial.slowest, 1.0)) if is_rough(trial, *here[:2]) else 1.0
-        record.add(tick, ground.known, driver, answer, _moved(flight, here, u, share))
+        u = link.act(tick, own, ugv.max_acceleration, ugv.dt)
+        share = float(rng.uniform(trial.slowest, 1.0)) if is_rough(trial, *own[:2]) else 1.0
+        record.add(tick, ground.known, driver, answer, _moved(flight, own, u, share))
     return record.result()
 
 
@@ -363,8 +363,8 @@ def draw_flight(seed: int) -> Flight:
 def _is_near(flight: Flight, tiles: float) -> bool:
     """Return whether the start is nearer to a building than the clearance plus this many tiles."""
     kept = flight.kept + tiles * float(flight.trial.parameters.tile)
-    here = [State(*flight.trial.start, 0.0, 0.0)] * 2
-    return bool(_near_house(dataclasses.replace(flight, kept=kept), here).any())
+    states = [State(*flight.trial.start, 0.0, 0.0)] * 2
+    return bool(_near_house(dataclasses.replace(flight, kept=kept), states).any())
 
 
 def _stranded(flight: Flight, rng: np.random.Generator) -> Flight:
@@ -380,9 +380,9 @@ def _stranded(flight: Flight, rng: np.random.Generator) -> Flight:
     around = truth[max(i - 2, 0) : i + 3, max(j - 2, 0) : j + 3]
     around[rng.random(around.shape) < 0.9] = BLOCK
     truth[i, j] = BLOCK
-    reach = 2.5 * s
+    sensing_range = 2.5 * s
     return dataclasses.replace(
-        flight, trial=dataclasses.replace(flight.trial, truth=truth, reach=reach)
+        flight, trial=dataclasses.replace(flight.trial, truth=truth, sensing_range=sensing_range)
     )
 
 
@@ -414,7 +414,7 @@ def draw_mapped(seed: int) -> Flight:
                 trial,
                 truth=truth,
                 teller="radio",
-                reach=s * float(rng.choice([0.01, 0.01, 0.3, 1.0])),
+                sensing_range=s * float(rng.choice([0.01, 0.01, 0.3, 1.0])),
             ),
             changes=changes,
             houses=tuple(houses),

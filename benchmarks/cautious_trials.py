@@ -53,7 +53,7 @@ class Trial:
     """Smallest true share of the maximum speed on rough ground."""
     teller: str
     """Order in which the adversary reveals tiles: one of `TELLERS`."""
-    reach: float
+    sensing_range: float
     """Range of the UGV's sensor [m]."""
     wheel: str
     """Nominal control: one of `WHEELS`."""
@@ -145,7 +145,8 @@ def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Tr
         delay=delay,
         slowest=slowest,
         teller="bumper" if calm else str(rng.choice(TELLERS)),
-        reach=tile * float(rng.uniform(1.0, 3.0) if calm else rng.choice([0.01, 0.3, 1.0, 2.5])),
+        sensing_range=tile
+        * float(rng.uniform(1.0, 3.0) if calm else rng.choice([0.01, 0.3, 1.0, 2.5])),
         wheel=wheel or ("plan" if rng.random() < 0.5 else str(rng.choice(WHEELS[1:]))),
         ticks=20_000 if calm else 300,
     )
@@ -192,8 +193,8 @@ def path_points(trial: Trial, states: list[State]) -> tuple[FloatArray, FloatArr
     t = np.concatenate(shares, axis=1)
     points = []
     for k in (0, 1):
-        way = a[:, k, None] + dt * t * (a[:, k + 2, None] + 0.5 * t * (b - a)[:, k + 2, None])
-        points.append(np.where(t == 1.0, b[:, k, None], way))
+        path = a[:, k, None] + dt * t * (a[:, k + 2, None] + 0.5 * t * (b - a)[:, k + 2, None])
+        points.append(np.where(t == 1.0, b[:, k, None], path))
     return points[0], points[1]
 
 

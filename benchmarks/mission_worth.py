@@ -21,7 +21,7 @@ from bus.messages.links import LinkSettings
 from bus.messages.telemetry import MissionResult
 from bus.profiles import PROFILES
 from outrider.closed_loop.closed_loop import ClosedLoop
-from outrider.style import INK, LIMIT, UGV, law_color, look, new_figure, save
+from outrider.style import INK, LIMIT, UGV, law_color, new_figure, plot_style, save
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario
 
@@ -136,7 +136,7 @@ def _hits(axes: Axes, rows: Sequence[Row]) -> None:
 
 def draw(rows: Sequence[Row], path: Path) -> None:
     """Plot mission times of a cautious UGV, and hits of a bold one."""
-    with look():
+    with plot_style():
         save(_drawn(rows), path)
 
 
@@ -144,16 +144,16 @@ def _drawn(rows: Sequence[Row]) -> Figure:
     figure = new_figure(1500, 560)
     names = [law.replace(" ", "\n") for law in (NO_ESCORT, *LAWS)]
     for axes, (scenario, caution) in zip(figure.subplots(1, len(MISSIONS)), MISSIONS, strict=True):
-        here = [row for row in rows if (row.scenario, row.caution) == (scenario, caution)]
+        shown = [row for row in rows if (row.scenario, row.caution) == (scenario, caution)]
         axes.set_title(f"{scenario.capitalize()}, {caution} UGV")
         axes.set_xticks(range(len(names)), names)
         axes.tick_params(axis="x", length=0.0, labelsize="small")
         if caution == "bold":
-            _hits(axes, here)
+            _hits(axes, shown)
             axes.set_ylabel("runs with a hit [%]")
             axes.set_ylim(0.0, 105.0)
         else:
-            _times(axes, here)
+            _times(axes, shown)
             axes.set_ylabel("mission time [s]")
             axes.margins(y=0.1)
             axes.set_ylim(bottom=0.0)

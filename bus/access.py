@@ -16,7 +16,7 @@ from bus.errors import BusError
 from bus.files import write_whole
 from bus.identities import Identity
 from bus.keys import (
-    PLACES,
+    MAX_SESSIONS,
     SIMULATOR_NAME,
     Grant,
     Key,
@@ -59,7 +59,7 @@ def grants(party: Party, run: str, extensions: Iterable[Roles] = ()) -> tuple[Gr
         found.add(Grant(message="put", flow="egress", keys=(own,)))
     watched = token(run, "*" if party.role is Role.SIMULATOR else SIMULATOR_NAME, "*")
     own = token(run, party.name, "*")
-    declared = tuple(token(run, party.name, place) for place in range(PLACES))
+    declared = tuple(token(run, party.name, number) for number in range(MAX_SESSIONS))
     if party.role is Role.SIMULATOR:
         declared += tuple(vehicle_token(run, "*", role) for role in (Role.UAV, Role.UGV))
     found.add(Grant(message="liveliness_token", flow="ingress", keys=declared))

@@ -24,7 +24,7 @@ from bus.messages.vehicle import (
 )
 
 ROOT = "outrider"
-PLACES = 8
+MAX_SESSIONS = 8
 """Maximum number of simultaneous sessions of one party; each declares its own liveliness token."""
 _SMALL, _LARGE, _HUGE = 1 << 16, 1 << 20, 1 << 24
 
@@ -151,7 +151,7 @@ OBSERVATION = {Role.UAV: UAV_OBSERVATION, Role.UGV: UGV_OBSERVATION}
 COMMAND = {Role.UAV: UAV_COMMAND, Role.UGV: UGV_COMMAND}
 
 _TOKEN = "alive"  # noqa: S105 - a part of a liveliness token's key
-_PLACE_NUMBERS = {str(place): place for place in range(PLACES)}
+_SESSION_NUMBERS = {str(number): number for number in range(MAX_SESSIONS)}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 
 
@@ -168,7 +168,7 @@ def check_run_name(run: str) -> str:
     return run
 
 
-def token(run: str, name: str, place: int | str) -> str:
+def token(run: str, name: str, number: int | str) -> str:
     """Return the liveliness token of one session of a party; it exists as long as the process.
 
     Session numbers are limited, so that access control can list all keys that a party may declare.
@@ -176,16 +176,16 @@ def token(run: str, name: str, place: int | str) -> str:
     Args:
         run: Name of the run.
         name: Name of the party; `*` matches any.
-        place: Number of the session, from 0 to `PLACES` - 1; `*` matches any. The simulator uses a vehicle's role
+        number: Number of the session, less than `MAX_SESSIONS`; `*` matches any. The simulator uses a vehicle's role
             instead: see `vehicle_token`.
     """
-    return f"{ROOT}/{run}/{name}/{_TOKEN}/{place}"
+    return f"{ROOT}/{run}/{name}/{_TOKEN}/{number}"
 
 
 def token_owner(expression: str) -> tuple[str, int]:
     """Return the owner of a token, and the number of its session; -1 if it has none."""
     parts = expression.split("/")
-    return parts[-3], _PLACE_NUMBERS.get(parts[-1], -1)
+    return parts[-3], _SESSION_NUMBERS.get(parts[-1], -1)
 
 
 def vehicle_token(run: str, name: str, role: Role) -> str:

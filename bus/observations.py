@@ -56,7 +56,7 @@ _AGE = Entry("age", "age of the newest detection; T before the first", "s", "0",
 _UNDERWAY = Entry("underway", "1 until the last goal is reached, else 0", "", "0", "1")
 
 
-def _motion(whose: str) -> Table:
+def _planar_state(whose: str) -> Table:
     """Return the entries for position and velocity of a vehicle."""
     return (
         Entry("x", f"{whose}position, x", "m", "0", "W"),
@@ -68,7 +68,7 @@ def _motion(whose: str) -> Table:
 
 UAV: Table = (
     _TIME,
-    *_motion("own "),
+    *_planar_state("own "),
     Entry("detected", "1 if a detection arrived at this tick, else 0", "", "0", "1"),
     Entry("relative_x", "detected p_a - p_g, x; 0 without a detection", "m", "-d_max", "d_max"),
     Entry("relative_y", "detected p_a - p_g, y; 0 without a detection", "m", "-d_max", "d_max"),
@@ -99,7 +99,7 @@ OMITTED: Mapping[str, tuple[str, ...]] = {"time": ("time",), "position": ("x", "
 
 UGV: Table = (
     _TIME,
-    *_motion("own "),
+    *_planar_state("own "),
     _UNDERWAY,
     Entry("goal_x", "goal, x; the last goal remains when reached; 0 without goals", "m", "0", "W"),
     Entry("goal_y", "goal, y; the last goal remains when reached; 0 without goals", "m", "0", "H"),
@@ -114,7 +114,7 @@ STATE: Table = (
 """Entries of the state that belong to no single vehicle; they come first."""
 
 UAV_STATE: Table = (
-    *_motion(""),
+    *_planar_state(""),
     Entry("distance", "true distance from its UGV", "m", "0", "D"),
     Entry("coverage_error", "e(t) of (4) with the true p_g", "m^2", "0", "E"),
     _AGE,
@@ -122,7 +122,7 @@ UAV_STATE: Table = (
 """True state of one UAV and its UGV."""
 
 UGV_STATE: Table = (
-    *_motion(""),
+    *_planar_state(""),
     _UNDERWAY,
     Entry("goal_x", "goal, x", "m", "0", "W"),
     Entry("goal_y", "goal, y", "m", "0", "H"),

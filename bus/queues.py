@@ -33,7 +33,7 @@ class Envelope(NamedTuple):
         return None if self.source is None else self.source.source_id.zid
 
     @property
-    def place(self) -> int | None:
+    def number(self) -> int | None:
         """Number of the session within its party."""
         return None if self.source is None else self.source.source_sn
 
@@ -46,17 +46,17 @@ class Outbox:
         self._encoder = msgspec.json.Encoder()
         self._decoder = msgspec.json.Decoder(key.message)
         self._topic = key.topic
-        self.set_place(0)
+        self.set_number(0)
         self.wanted = False
         """True if the key has a reader now."""
         self._listener = publisher.declare_matching_listener(self._see)
 
-    def set_place(self, place: int) -> None:
+    def set_number(self, number: int) -> None:
         """Send the number of this session within its party with all further messages.
 
         It travels in the sequence number of Zenoh's source info, which is free: the transport keeps the order.
         """
-        self._source = zenoh.SourceInfo(self._publisher.id, place)
+        self._source = zenoh.SourceInfo(self._publisher.id, number)
 
     def _see(self, status: Any) -> None:  # noqa: ANN401 - Zenoh's stub says bool, its library gives a MatchingStatus
         self.wanted = bool(status.matching)

@@ -12,7 +12,7 @@ import zenoh
 
 from bus import plugins
 from bus.errors import AccessDenied, OutriderError, ScenarioError
-from bus.keys import KEYS, PLACES, ROOT, STAFF, Grant, Party, Role, token
+from bus.keys import KEYS, MAX_SESSIONS, ROOT, STAFF, Grant, Party, Role, token
 
 RESERVED = (*STAFF, "router", "authority")
 """Names that no vehicle and no party of an extension may have."""
@@ -128,8 +128,8 @@ def _check_outside(key: str) -> None:
 
 @functools.cache
 def _keys_of_runs() -> tuple[str, ...]:
-    places = [*range(PLACES), *(role.value for role in Role)]
+    numbers = [*range(MAX_SESSIONS), *(role.value for role in Role)]
     return (
         *(key.expression("*", "*") for key in KEYS),
-        *(token("*", "*", place) for place in places),
+        *(token("*", "*", number) for number in numbers),
     )

@@ -9,7 +9,7 @@ import zenoh
 
 from bus.errors import AccessDenied
 from bus.keys import (
-    PLACES,
+    MAX_SESSIONS,
     Delivery,
     Key,
     Party,
@@ -51,7 +51,7 @@ class Session:
         self.run = run
         self.id = str(zenoh_session.zid())
         """Unique identity of the session."""
-        self.place = 0
+        self.number = 0
         """Number of the session among the present sessions of its party."""
         self._alarm = threading.Thread(target=self._nudge_all, name="outrider-alarm", daemon=True)
         self._alarm.start()
@@ -101,7 +101,7 @@ class Session:
             else zenoh.CongestionControl.DROP,
         )
         outbox = Outbox(publisher, key)
-        outbox.set_place(self.place)
+        outbox.set_number(self.number)
         self._outboxes.append(outbox)
         return outbox
 
@@ -187,17 +187,18 @@ class Session:
         liveliness = self._zenoh.liveliness()
         there = liveliness.get(token(self.run, self.party.name, "*"), timeout=_QUERY_TIMEOUT)
         taken = {token_owner(str(reply.ok.key_expr))[1] for reply in there if reply.ok is not None}
-        free = [place for place in range(PLACES) if place not in taken]
+        free = [number for number in range(MAX_SESSIONS) if number not in taken]
         if not free:
             raise AccessDenied(
-                f"{self.party.name} already has {PLACES} sessions in the run {self.run}; allowed: at most {PLACES}"
+                f"{self.party.name} already has {MAX_SESSIONS} sessions in the run {self.run}; "
+                f"allowed: at most {MAX_SESSIONS}"
             )
-        self.place = free[0]
+        self.number = free[0]
         for outbox in self._outboxes:
-            outbox.set_place(self.place)
-        self._kept.append(liveliness.declare_token(token(self.run, self.party.name, self.place)))
+            outbox.set_number(self.number)
+        self._kept.append(liveliness.declare_token(token(self.run, self.party.name, self.number)))
         for _ in liveliness.get(
-            token(self.run, self.party.name, self.place), timeout=_QUERY_TIMEOUT
+            token(self.run, self.party.name, self.number), timeout=_QUERY_TIMEOUT
         ):
             pass  # once this is answered, the router knows the token, and later sessions see it
 
@@ -222,9 +223,9 @@ class Session:
         """
 
         def see(sample: zenoh.Sample) -> None:
-            name, place = token_owner(str(sample.key_expr))
-            if place >= 0:
-                on_change(name, place, sample.kind == zenoh.SampleKind.PUT)
+            name, number = token_owner(str(sample.key_expr))
+            if number >= 0:
+                on_change(name, number, sample.kind == zenoh.SampleKind.PUT)
 
         expression = token(self.run, party_name, "*")
         self._kept.append(

@@ -60,9 +60,9 @@ def detection_rows(
     return tuple(DetectionRow(tick_of(one.time, dt), *one.relative_position) for one in detections)
 
 
-def detection_array(looks: Sequence[DetectionRow]) -> npt.NDArray[np.float64]:
-    """Return relative positions in the columns of `DetectionRow`, for compiled code. Shape (looks, 3)."""
-    return np.array(looks, dtype=np.float64).reshape(-1, len(DetectionRow._fields))
+def detection_array(detections: Sequence[DetectionRow]) -> npt.NDArray[np.float64]:
+    """Return relative positions in the columns of `DetectionRow`, for compiled code. Shape (detections, 3)."""
+    return np.array(detections, dtype=np.float64).reshape(-1, len(DetectionRow._fields))
 
 
 def radio_ticks(dt: float) -> int:

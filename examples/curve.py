@@ -6,7 +6,7 @@ from typing import Any
 
 from evaluation import CASES, VALIDATION_SEEDS, fly_law
 
-from outrider.style import INK, law_color, look, new_figure, save
+from outrider.style import INK, law_color, new_figure, plot_style, save
 from outrider_learning.mlp import load_policy
 
 
@@ -37,7 +37,7 @@ def draw_curve(
     million = [decisions / 1e6 for decisions, _ in curve]
     errors = [error for _, error in curve]
     top = 1.08 * max(*errors, *levels.values())
-    with look():
+    with plot_style():
         figure = new_figure(980, 560)
         axes = figure.add_subplot()
         for law, level in levels.items():

@@ -74,10 +74,10 @@ class Rescale(nn.Module):
         space = spec.space
         low, high = (bound.reshape(-1, bound.shape[-1])[0] for bound in (space.low, space.high))
         self.register_buffer("middle", (low + high) / 2.0)
-        self.register_buffer("reach", ((high - low) / 2.0).clamp_min(1e-6))
+        self.register_buffer("half_range", ((high - low) / 2.0).clamp_min(1e-6))
 
     def forward(self, numbers: torch.Tensor) -> torch.Tensor:
-        return (numbers - self.middle) / self.reach
+        return (numbers - self.middle) / self.half_range
 
 
 def make_actor(env: PettingZooWrapper, group: str) -> ProbabilisticActor:

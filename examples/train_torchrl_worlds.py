@@ -79,15 +79,15 @@ class LearnedUav:
 
     def __init__(self, learner: Learner) -> None:
         self.setup = {**SETTINGS, "omit": (), "dtype": np.float32, "safety_filter": True}
-        self._actor, self._held = learner.actor, np.zeros((0, 2))
+        self._actor, self._actions = learner.actor, np.zeros((0, 2))
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         if np.rint(rows[0, 0] / 0.05) % REPEAT == 0:
             seen = {"uav": {"observation": torch.from_numpy(rows[:, None, 3:].copy())}}
             with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
                 frame = self._actor(TensorDict(seen, batch_size=[len(rows)]))
-            self._held = frame["uav", "action"][:, 0].double().numpy()
-        return self._held
+            self._actions = frame["uav", "action"][:, 0].double().numpy()
+        return self._actions
 
 
 def main() -> None:

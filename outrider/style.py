@@ -18,7 +18,7 @@ from bus.files import writing
 from bus.registry import LAWS
 from sim.input.faults import one_line
 from sim.scene.colors import GOOD, INK, LIMIT, MUTED, UAV, UGV, color
-from sim.scene.drawing import COVERAGE, DASHED, DPI, key, look
+from sim.scene.drawing import COVERAGE, DASHED, DPI, key, plot_style
 
 __all__ = [
     "COVERAGE",
@@ -31,7 +31,7 @@ __all__ = [
     "UGV",
     "color",
     "key",
-    "look",
+    "plot_style",
 ]
 """Public names, including names of the scene's style."""
 

@@ -241,8 +241,8 @@ class World:
         row["outgoing_trajectories"] = len(trajectories)
         row["vertical"]["outgoing"] = vertical
         kept = self._batch.state.trajectories[self._number, vehicle]
-        for motion in trajectories:
-            keep_trajectory(kept, received_trajectory(motion)[0], self.tick)
+        for trajectory in trajectories:
+            keep_trajectory(kept, received_trajectory(trajectory)[0], self.tick)
 
     def seen_ground(self, vehicle: int) -> tuple[TileReport, ...]:
         """Return the tiles that a vehicle's own sensor has reported since the previous tick."""
@@ -250,11 +250,11 @@ class World:
         if ground is None:
             return ()
         columns = ground.tiles.shape[2]
-        places = ground.seen[0, vehicle, : ground.report_counts.item(0, vehicle)].tolist()
-        states = (ground.known.item(0, vehicle, *divmod(place, columns)) for place in places)
+        tiles = ground.seen[0, vehicle, : ground.report_counts.item(0, vehicle)].tolist()
+        states = (ground.known.item(0, vehicle, *divmod(tile, columns)) for tile in tiles)
         return tuple(
-            TileReport(place % columns, place // columns, TILE_LETTERS[state])
-            for place, state in zip(places, states, strict=True)
+            TileReport(tile % columns, tile // columns, TILE_LETTERS[state])
+            for tile, state in zip(tiles, states, strict=True)
         )
 
     def discovered(self, uav: int) -> tuple[Building, ...]:
@@ -278,8 +278,9 @@ class World:
         """Record a map update that a UGV has received by radio, to measure warning times."""
         if self.ground is not None:
             n = int(np.flatnonzero(self.ground.ugvs == vehicle)[0])
-            place = block.row, block.column
-            receive_block(self.ground, 0, n, self.tick, place, tile_states(block.tiles))
+            receive_block(
+                self.ground, 0, n, self.tick, (block.row, block.column), tile_states(block.tiles)
+            )
 
     @property
     def mission(self) -> MissionResult | None:

@@ -63,12 +63,12 @@ class Filtered(NamedTuple):
 
 
 @released
-def _filter(parameters, rows, own, arrived, detections, states, axes, innovations):
+def _filter(parameters, rows, positions, arrived, detections, states, axes, innovations):
     p, depth = parameters[0], rows.shape[2] - 1
-    for k in range(own.shape[0]):
+    for k in range(positions.shape[0]):
         first, last = arrived[k], arrived[k + 1]
-        here = State(own[k, 0], own[k, 1], 0.0, 0.0)
-        update(p, rows, (0, 0), k, here, detections[first:last], last - first)
+        own = State(positions[k, 0], positions[k, 1], 0.0, 0.0)
+        update(p, rows, (0, 0), k, own, detections[first:last], last - first)
         now, prior = rows[0, 0, 0], rows[0, 0, 1 + k % depth]
         if now.known:
             states[k, 0], states[k, 1], states[k, 2], states[k, 3] = now.x, now.y, now.v_x, now.v_y

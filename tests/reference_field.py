@@ -10,12 +10,12 @@ HILL, PLATEAU = (tuple(SENSORS).index(name) for name in ("hill", "plateau"))
 FloatGrid = npt.NDArray[np.float64]
 
 _QUALITY = {
-    HILL: lambda rho, peak, reach: peak / reach**4 * (rho**2 - reach**2) ** 2,
-    PLATEAU: lambda rho, peak, reach: peak * (1.0 - rho**4 / reach**4) ** 2,
+    HILL: lambda rho, peak, r: peak / r**4 * (rho**2 - r**2) ** 2,
+    PLATEAU: lambda rho, peak, r: peak * (1.0 - rho**4 / r**4) ** 2,
 }
 _SLOPE = {  # dS/d(rho²)
-    HILL: lambda rho, peak, reach: 2.0 * peak / reach**4 * (rho**2 - reach**2),
-    PLATEAU: lambda rho, peak, reach: -4.0 * peak * rho**2 / reach**4 * (1.0 - rho**4 / reach**4),
+    HILL: lambda rho, peak, r: 2.0 * peak / r**4 * (rho**2 - r**2),
+    PLATEAU: lambda rho, peak, r: -4.0 * peak * rho**2 / r**4 * (1.0 - rho**4 / r**4),
 }
 
 
@@ -32,9 +32,9 @@ def distances(coverage: FloatGrid, p_x: float, p_y: float, cell: float) -> Float
     return np.sqrt((x - p_x) ** 2 + (y - p_y) ** 2)
 
 
-def sensor_quality(sensor: int, rho: FloatGrid, peak: float, reach: float) -> FloatGrid:
+def sensor_quality(sensor: int, rho: FloatGrid, peak: float, r: float) -> FloatGrid:
     """Return S of (2) at the distances rho [m]."""
-    return np.where(rho <= reach, _QUALITY[sensor](rho, peak, reach), 0.0)
+    return np.where(rho <= r, _QUALITY[sensor](rho, peak, r), 0.0)
 
 
 def density(rho: FloatGrid, r_o: float) -> FloatGrid:
@@ -48,14 +48,13 @@ def accumulate(
     p_y: float,
     sensor: int,
     peak: float,
-    reach: float,
+    r: float,
     cell: float,
     duration: float,
 ) -> FloatGrid:
     """Return C after one sensing step, (3); arguments as in `sim.models.field.accumulate`, but C is not changed."""
     return (
-        coverage
-        + sensor_quality(sensor, distances(coverage, p_x, p_y, cell), peak, reach) * duration
+        coverage + sensor_quality(sensor, distances(coverage, p_x, p_y, cell), peak, r) * duration
     )
 
 
@@ -77,13 +76,13 @@ def coverage_gradient(
     desired: float,
     sensor: int,
     peak: float,
-    reach: float,
+    r: float,
     cell: float,
 ) -> tuple[float, float]:
     """Return u_cov with k = 1, (6); arguments as in `sim.models.field.coverage_gradient`."""
     x, y = centres(coverage, cell)
     rho = distances(coverage, p_ax, p_ay, cell)
-    slope = np.where(rho <= reach, 2.0 * _SLOPE[sensor](rho, peak, reach), 0.0)
+    slope = np.where(rho <= r, 2.0 * _SLOPE[sensor](rho, peak, r), 0.0)
     lack = 2.0 * np.maximum(0.0, desired - coverage)
     weight = lack * slope * density(distances(coverage, p_gx, p_gy, cell), r_o)
     return float((weight * (p_ax - x)).sum() * cell**2), float(

@@ -31,7 +31,7 @@ from bus.errors import AccessDenied
 from bus.joining import open_session
 from bus.keys import (
     KEYS,
-    PLACES,
+    MAX_SESSIONS,
     STAFF,
     Party,
     Role,
@@ -147,14 +147,14 @@ def test_messages_go_from_their_writer_to_their_readers_alone(known_by: str) -> 
 
 def declared(owner: str, name: str) -> list[str]:
     """Return tokens of one party in another's name; only the first may pass, and only for a party's own name."""
-    places = (NAMES.index(name), PLACES, "0/more", f"by_{name}")
+    places = (NAMES.index(name), MAX_SESSIONS, "0/more", f"by_{name}")
     return [token(RUN, owner, place) for place in places]
 
 
 def test_parties_announce_themselves_alone(known_by):
     """Let each party declare tokens in every party's name, also with an unused number."""
     seen: dict[str, set[str]] = {name: set() for name in NAMES}
-    assert len(NAMES) <= PLACES
+    assert len(NAMES) <= MAX_SESSIONS
     with parties(known_by) as sessions:
         kept: list[object] = []
         for name, opened in sessions.items():
@@ -359,9 +359,9 @@ def test_the_sessions_of_a_party_are_limited(endpoint: str) -> None:
     with ExitStack() as stack:
         stack.enter_context(hosted(endpoint, GIVEN))
         ugv = GIVEN.of("ugv_0")
-        opened = [stack.enter_context(client_of(endpoint, ugv)) for _ in range(PLACES + 1)]
-        for one in opened[:PLACES]:
+        opened = [stack.enter_context(client_of(endpoint, ugv)) for _ in range(MAX_SESSIONS + 1)]
+        for one in opened[:MAX_SESSIONS]:
             one.announce()
-        assert [one.place for one in opened[:PLACES]] == list(range(PLACES))
-        with pytest.raises(AccessDenied, match=f"ugv_0 already has {PLACES} sessions"):
+        assert [one.number for one in opened[:MAX_SESSIONS]] == list(range(MAX_SESSIONS))
+        with pytest.raises(AccessDenied, match=f"ugv_0 already has {MAX_SESSIONS} sessions"):
             opened[-1].announce()

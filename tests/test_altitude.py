@@ -21,7 +21,13 @@ from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import summarize
 from processes import flown_both_ways
 from sim.engine.briefing import uav_briefing
-from sim.models.altitude import level_off, levelling_height, lowest_ahead, step_altitude
+from sim.models.altitude import (
+    VerticalLimits,
+    level_off,
+    levelling_height,
+    lowest_ahead,
+    step_altitude,
+)
 from sim.models.buildings import building_distance, building_table, line_of_sight
 from sim.models.safety import visible_radius
 from sim.models.vehicles import step_vehicle
@@ -30,7 +36,7 @@ from sim.server.flight import Flight
 from sim.world import World
 
 DT, U, RATE = 0.05, 0.8, 1.5
-LIMITS = (0.5, 100.0, RATE, U)
+LIMITS = VerticalLimits(0.5, 100.0, RATE, U)
 
 
 @pytest.mark.parametrize("rate", [-1.5, -0.73, -1e-3, 0.0, 1e-9, 0.04, 1.2])
@@ -44,12 +50,12 @@ def test_levelling_height_is_what_the_vehicle_flies(rate: float) -> None:
     assert lowest == pytest.approx(lowest_ahead(50.0, rate, U, DT), abs=1e-9)
 
 
-def test_vertical_motion_keeps_its_bounds() -> None:
+def test_climb_keeps_its_bounds() -> None:
     rng = np.random.default_rng(3)
     z, v = 10.0, 0.0
     for command in rng.normal(0.0, 3.0, 5000):
         before = v
-        z, v, u = step_altitude(z, v, float(command), (2.0, 20.0, RATE, U), DT)
+        z, v, u = step_altitude(z, v, float(command), VerticalLimits(2.0, 20.0, RATE, U), DT)
         assert 2.0 <= z <= 20.0
         assert abs(v) <= RATE
         assert abs(u) <= U
@@ -58,13 +64,13 @@ def test_vertical_motion_keeps_its_bounds() -> None:
 
 @pytest.mark.parametrize("goal", [12.0, 30.0, 4.3])
 def test_a_climb_ends_at_its_goal_within_a_centimetre(goal: float) -> None:
-    z, v, way = 12.0, 0.0, []
+    z, v, altitudes = 12.0, 0.0, []
     for _ in range(1200):
         z, v, _ = step_altitude(z, v, climb_to(z, v, goal, RATE, U, DT), LIMITS, DT)
-        way.append(z)
+        altitudes.append(z)
     assert z == pytest.approx(goal, abs=1e-6)
-    assert min(way) >= min(goal, 12.0) - 0.01
-    assert max(way) <= max(goal, 12.0) + 0.01
+    assert min(altitudes) >= min(goal, 12.0) - 0.01
+    assert max(altitudes) <= max(goal, 12.0) + 0.01
 
 
 def _town(rng: np.random.Generator) -> list[tuple[list[tuple[float, float]], float]]:
@@ -215,9 +221,9 @@ class Steered(InProcess):
             flight.assign_driver("ugv_0", "teleop" if tick == 40 else self._then)
         if 40 <= tick < 600 and tick % 20 == 0:
             centers = [np.mean(one.polygon, axis=0) for one in flight.world.buildings]
-            ways = np.array(centers) - flight.world.position[1]
-            way = ways[np.argmin(np.hypot(*ways.T))]
-            velocity = tuple(0.2 * way / np.hypot(*way))
+            offsets = np.array(centers) - flight.world.position[1]
+            offset = offsets[np.argmin(np.hypot(*offsets.T))]
+            velocity = tuple(0.2 * offset / np.hypot(*offset))
             flight.teleoperate("ugv_0", Teleoperation(operator="anna", velocity=velocity))
 
 
@@ -243,11 +249,11 @@ def test_ticks_of_an_operator_near_buildings_are_not_certified(tmp_path: Path) -
     for tick, (truth, status) in enumerate(zip(truths, statuses, strict=True)):
         assert truth.report is not None
         assert truth.report.decision is not None
-        claimed, held = truth.report.decision.certified, truth.revoked is None
-        assert held == (tick < 40 or not claimed)
-        assert status.certified == {"uav_0": claimed and held}
+        claimed, valid = truth.report.decision.certified, truth.revoked is None
+        assert valid == (tick < 40 or not claimed)
+        assert status.certified == {"uav_0": claimed and valid}
         assert len(status.warnings) == (40 <= tick < 600)
-        if claimed and not held:
+        if claimed and not valid:
             assert status.uncertified == {"uav_0": NotCertified.NO_CLEARANCE}
     assert summary.certified_share == 40 / len(truths)
     assert summary.uncertified[NotCertified.NO_CLEARANCE] > 500

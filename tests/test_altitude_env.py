@@ -100,8 +100,8 @@ def test_batches_fly_like_a_run(law: str) -> None:
     vehicles, metrics = loop.state.batch.vehicles, loop.metrics("uav_0")
     for k, seed in enumerate((3, 4)):
         flight, summary = fly(scenario, seed)
-        place = vehicles["reference_position"][k]
-        assert place == pytest.approx(flight.world.reference_position, abs=1e-9)
+        position = vehicles["reference_position"][k]
+        assert position == pytest.approx(flight.world.reference_position, abs=1e-9)
         height = vehicles["vertical"]["altitude"][k]
         assert height == pytest.approx(flight.world.vertical["altitude"], abs=1e-9)
         assert metrics["certified"][k] == pytest.approx(summary.certified_share)
@@ -241,7 +241,7 @@ def test_no_filtered_uav_touches_a_building(clearance: float) -> None:
 
 @pytest.mark.parametrize("side", [16.4, 13.6])
 def test_uav_that_starts_below_the_roofs_brakes_and_climbs(side: float) -> None:
-    """It flies towards a wall, and the way to the UGV leads along it; its stopping distance of 0.6 m just suffices."""
+    """It flies towards a wall, and the line to the UGV leads along it; its stopping distance of 0.6 m just suffices."""
     wall = "building=[{height=5, polygon=[[10, 5], [12, 5], [12, 30], [10, 30]]}]"
     start = ["uav.0.position=[9.35, 15]", "uav.0.velocity=[0.6, 0]", "uav.0.initial_altitude=2"]
     place = [f"ugv.0.position=[9.0, {side}]", "ugv.0.goals=[]", "ugv.0.building_clearance=0.3"]

@@ -23,7 +23,7 @@ from outrider.running.flying import make_pilots
 from outrider.running.summary import Summary, summarize
 from sim.compiling.records import record_type
 from sim.engine.briefing import briefing
-from sim.engine.monitor import NEVER, ArrivalRecord
+from sim.engine.monitor import NEVER, ArrivalRecord, Evidence
 from sim.engine.world_state import Vehicle
 from sim.models.trajectories import NO_TRAJECTORY, no_trajectories
 from sim.scenario.loading import load_scenario
@@ -96,15 +96,15 @@ def record_tick(
     if excused:
         assurance.excuse(0)
     seen = [(tick, 0.3)] if arrivals is None else arrivals
-    evidence = (
+    evidence = Evidence(
         np.zeros(1, record_type(ArrivalRecord)),
         np.zeros(2, record_type(Vehicle)),
         no_trajectories(2),
     )
-    evidence[0]["newest"] = max((taken for taken, _ in seen), default=NEVER)
-    evidence[0]["error"] = max((error for _, error in seen), default=0.0)
-    evidence[1]["command_tick"] = tick
-    evidence[2]["begins"], evidence[2]["plain"] = tick if flown is None else flown, bare
+    evidence.arrivals["newest"] = max((taken for taken, _ in seen), default=NEVER)
+    evidence.arrivals["error"] = max((error for _, error in seen), default=0.0)
+    evidence.vehicles["command_tick"] = tick
+    evidence.flown["begins"], evidence.flown["plain"] = tick if flown is None else flown, bare
     report = None if certified is None else report_of(certified)
     answered = tick if current else tick - 1
     command = UavCommand(tick=answered, acceleration=(0.0, 0.0), report=report) if answers else None
@@ -134,8 +134,8 @@ def every(until: int = AT, **truth: Any) -> Truths:
 
 
 EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
-    "a motion of before was still flown": ({AT - 1: {"flown": AT - 2}}, {}),
-    "the motion goes on after the certificate has ended": ({AT: {"flown": AT - 1}}, {}),
+    "an earlier trajectory was still flown": ({AT - 1: {"flown": AT - 2}}, {}),
+    "the trajectory continues after the certificate has ended": ({AT: {"flown": AT - 1}}, {}),
     "a bare acceleration acts, which is late": (every(bare=True), {}),
     "no detection for longer than declared": (every(arrivals=[]), {}),
     "a detection arrives that is older than declared": (
@@ -171,7 +171,7 @@ NO_EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
         {AT: {"arrivals": [(AT - 10, 0.0), (AT - 30, 0.0)]}},
         {},
     ),
-    "a motion went on long before": ({1: {"flown": NO_TRAJECTORY}}, {}),
+    "a trajectory continued long before": ({1: {"flown": NO_TRAJECTORY}}, {}),
     "a bare acceleration acts at once": (every(bare=True), {"max_command_delay": 0.0}),
     "a detection that was new enough, and that it has seen": (
         every(12, arrivals=[]) | {0: {}, 3: {"arrivals": [(3, 0.0)]}},

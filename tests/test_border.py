@@ -78,9 +78,12 @@ anywhere = [st.floats(0.0, size) for size in (WIDTH, HEIGHT)]
 places = st.tuples(*edges) | st.tuples(edges[0], anywhere[1]) | st.tuples(anywhere[0], edges[1])
 
 
-def _between(share: float, center: float, way: float, size: float) -> float:
+def _between(share: float, center: float, stopping: float, size: float) -> float:
     """Return a coordinate in sight of the UGV's, with room to stop inside the area."""
-    least, most = max(center - 0.7 * R_V, 0.0, -way), min(center + 0.7 * R_V, size, size - way)
+    least, most = (
+        max(center - 0.7 * R_V, 0.0, -stopping),
+        min(center + 0.7 * R_V, size, size - stopping),
+    )
     return least + share * (most - least)
 
 

@@ -197,8 +197,8 @@ def test_a_wall_hides_a_point_only_if_the_ray_enters_its_inside() -> None:
 
 def hidden_around(boxes: Array, heights: Array, camera: Array, z: float, point: Array) -> bool:
     """Whether the points around a point of the grid are all in the shadow of some building."""
-    way = np.arctan2(*(camera - point)[::-1])
-    angles = np.concatenate([way + np.arange(4) * np.pi / 2.0, np.arange(4) * np.pi / 2.0])
+    direction = np.arctan2(*(camera - point)[::-1])
+    angles = np.concatenate([direction + np.arange(4) * np.pi / 2.0, np.arange(4) * np.pi / 2.0])
     angles = (angles[:, None] + (-1e-3, 1e-3)).ravel()
     around = point + 1e-6 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     hidden = np.zeros(len(around), dtype=bool)

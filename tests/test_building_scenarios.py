@@ -168,7 +168,7 @@ def test_blocks_stay_away_from_given_hazards_and_starts_of_uavs() -> None:
         assert min(distances(buildings, 9.0, 9.0)) >= 3.0
 
 
-def test_hazards_among_buildings_leave_a_way(town: Scenario) -> None:
+def test_hazards_among_buildings_leave_a_route(town: Scenario) -> None:
     mines = HazardField(kind="block", count=40, radius=(0.3, 0.6))
     one = check_scenario(msgspec.structs.replace(town, hazard_field=(mines,)))
     for seed in range(10):

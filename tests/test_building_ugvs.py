@@ -70,23 +70,23 @@ CORNERS = st.lists(st.floats(0.3, 2.5), min_size=3, max_size=8)
 
 @given(CORNERS, st.floats(0.0, 6.3), PLACES, st.floats(0.0, 2.0))
 @settings(PROPERTY, max_examples=20)
-def test_tiles_near_a_polygon_are_those_within_the_distance(radii, turn, place, reach):
+def test_tiles_near_a_polygon_are_those_within_the_distance(radii, turn, place, distance):
     angles = [turn + 2.0 * math.pi * n / len(radii) for n in range(len(radii))]
     x, y = 3.0 + place[0] / 20.0, 3.0 + place[1] / 20.0
     shape = tuple(
         (x + r * math.cos(a), y + r * math.sin(a)) for r, a in zip(radii, angles, strict=True)
     )
     tiles = np.full((16, 16), CLEAR, np.uint8)
-    add_polygon(np.array(shape), reach, BLOCK, 0.5, tiles)
+    add_polygon(np.array(shape), distance, BLOCK, 0.5, tiles)
     building = (Building(polygon=shape, height=1.0),)
     grid = np.linspace(0.0, 0.5, 4)
     for row, column in itertools.product(range(16), range(16)):
         points = itertools.product(column * 0.5 + grid, row * 0.5 + grid)
         nearest = min(distances(building, *point)[0] for point in points)
         if tiles[row, column] == CLEAR:
-            assert nearest > reach
+            assert nearest > distance
         else:
-            assert nearest <= reach + 0.5 * math.hypot(grid[1], grid[1])
+            assert nearest <= distance + 0.5 * math.hypot(grid[1], grid[1])
 
 
 # The map of a UGV
@@ -255,7 +255,7 @@ def test_clearance_is_warned_of_unless_it_is_kept() -> None:
     assert warned(**unknown, **{"ground.false_alarm": 0.1})
 
 
-def test_clearance_from_mapped_buildings_is_not_ensured_with_misses() -> None:
+def test_clearance_from_mapped_buildings_needs_no_misses() -> None:
     """If buildings are the only hazards, the map is complete: there is nothing to miss."""
     mines = HazardField(kind="block", count=30, radius=(0.2, 0.4))
     for hazard_field, miss, ensured in (
@@ -270,7 +270,7 @@ def test_clearance_from_mapped_buildings_is_not_ensured_with_misses() -> None:
         assert (guaranteed_clearance(one, one.ugv[0]) > 0.0) == ensured
 
 
-def test_a_ugv_that_may_wait_beside_an_unknown_building_is_warned_of() -> None:
+def test_ugv_waiting_beside_unknown_building_gives_a_warning() -> None:
     for sensing, told in ((1.9, True), (2.0, False)):
         changes = {**UNKNOWN_MAP, "ground.sensing_range": sensing}
         warnings = scenario_warnings(load_scenario("town", overrides=changes))

@@ -69,10 +69,10 @@ def test_hidden_cells_are_those_without_a_line_of_sight() -> None:
     x, y, z = 12.3, 16.1, 8.0
     hidden = HiddenGround(scene).cells({"uav_0": (x, y)}, {"uav_0": z}, (80, 80))
     tables, cell = building_table([(one.corners, one.height) for one in (HOUSE, SHED)]), 0.5
-    reach = z * math.tan(0.785)
+    radius = z * math.tan(0.785)
     for row, column in np.ndindex(80, 80):
         q = ((column + 0.5) * cell, (row + 0.5) * cell)
-        near = math.dist(q, (x, y)) <= reach
+        near = math.dist(q, (x, y)) <= radius
         assert hidden[row, column] == (near and not line_of_sight(*tables, x, y, z, *q, 0.0))
     assert hidden.sum() > 50
 

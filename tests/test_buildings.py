@@ -191,7 +191,7 @@ def test_gradient_ignores_hidden_cells(kind: int) -> None:
 
 
 @pytest.mark.parametrize("buildings", [[], [(np.array(HOUSE) + 50.0, 8.0)]], ids=["none", "far"])
-def test_coverage_without_a_building_in_reach_keeps_its_bits(buildings) -> None:
+def test_coverage_without_a_building_in_range_keeps_its_bits(buildings) -> None:
     sensor, blocks = SensorParameters(0, 1.0, R), occlusion(buildings, 9.0)
     for ground, p_x, p_y, _, _ in sights(4):
         demand = Demand(p_x + 1.5, p_y - 1.0, 9.75, DESIRED)

@@ -23,13 +23,13 @@ angles = st.floats(0.1, 1.5)
 
 @given(st.floats(0.5, 10.0), angles, heights)
 @settings(PROPERTY)
-def test_range_ends_at_the_edge_of_the_cone_or_at_r(reach, angle, z) -> None:
-    found = range_at(reach, math.tan(angle), z)
-    if found < reach:
+def test_range_ends_at_the_edge_of_the_cone_or_at_r(sensing_range, angle, z) -> None:
+    found = range_at(sensing_range, math.tan(angle), z)
+    if found < sensing_range:
         assert math.atan2(found, z) == pytest.approx(angle)
     else:
-        assert found == reach
-        assert math.atan2(reach, z) <= angle + 1e-9
+        assert found == sensing_range
+        assert math.atan2(sensing_range, z) <= angle + 1e-9
 
 
 @given(st.floats(0.1, 5.0), st.floats(1.0, 20.0), heights)

@@ -177,12 +177,12 @@ def test_discs_equal_up_to_rounding_give_the_bound_of_one() -> None:
 
 @given(st.floats(1e-9, 12.0), st.sampled_from([0.02, 0.05, 0.2]))
 @settings(PROPERTY, max_examples=300)
-def test_motion_between_rests_keeps_bounds_and_is_exact(way: float, dt: float) -> None:
-    turn, cruise, speed = handover.rest_to_rest(way, V_A, U_A, dt)
+def test_trajectory_between_rests_keeps_bounds_and_is_exact(distance: float, dt: float) -> None:
+    turn, cruise, speed = handover.rest_to_rest(distance, V_A, U_A, dt)
     assert speed <= V_A * (1.0 + 1e-9)
     assert speed <= U_A * turn * dt * (1.0 + 1e-9)
-    assert speed * (turn + cruise) * dt == pytest.approx(way, rel=1e-9)
-    assert (2 * turn + cruise) * dt <= way / V_A + V_A / U_A + 2.0 * dt + 1e-9
+    assert speed * (turn + cruise) * dt == pytest.approx(distance, rel=1e-9)
+    assert (2 * turn + cruise) * dt <= distance / V_A + V_A / U_A + 2.0 * dt + 1e-9
 
 
 @given(
@@ -194,19 +194,19 @@ def test_motion_between_rests_keeps_bounds_and_is_exact(way: float, dt: float) -
     st.floats(0.0, 0.02),
 )
 @settings(PROPERTY, max_examples=300)
-def test_spans_of_ticks_keep_each_position_within(fastest, more, way, radius, rho, drift):
+def test_spans_of_ticks_keep_each_position_within(fastest, more, distance, radius, rho, drift):
     """The least distance that passes for several trajectories is not below that of any tick of any of them."""
     slowest = fastest[0] + more[0], fastest[1] + more[1]
     needed = 0.0
     for turn, cruise in itertools.product(*map(_between, fastest, slowest)):
         ticks, x, v = 2 * turn + cruise, 0.0, 0.0
         for k in range(1, ticks + 1):
-            w = way / (turn + cruise) * min(1.0, k / turn, (ticks - k) / turn)
+            w = distance / (turn + cruise) * min(1.0, k / turn, (ticks - k) / turn)
             x, v = x + 0.5 * (v + w), w
-            assert handover.flown_distance(way, turn, cruise, k) == pytest.approx(x, abs=1e-9)
-            far = discs.lens_distance(x, 0.0, 0.0, 0.0, radius, way, 0.0, rho)
-            needed = max(needed, min(x + radius, abs(way - x) + rho, far) + drift * k)
-    args = radius, rho, way, fastest, slowest, drift
+            assert handover.flown_distance(distance, turn, cruise, k) == pytest.approx(x, abs=1e-9)
+            far = discs.lens_distance(x, 0.0, 0.0, 0.0, radius, distance, 0.0, rho)
+            needed = max(needed, min(x + radius, abs(distance - x) + rho, far) + drift * k)
+    args = radius, rho, distance, fastest, slowest, drift
     assert not handover.trajectory_stays_within(needed - 1e-6, *args)
     if fastest == slowest:
         assert handover.trajectory_stays_within(max(needed, radius) + 1e-6, *args)
@@ -361,12 +361,12 @@ def test_handover_at_rest_reaches_every_later_detection(
     young_ticks = math.floor(young * age / DT)
     rho = eps + young_ticks * V_G * DT
     radius = max(rho, q.handover_radius * (1.0 - 0.3 * slack))
-    way = far * min(q.handover_bound + 2.0 * eps - rho, radius + rho)
+    distance = far * min(q.handover_bound + 2.0 * eps - rho, radius + rho)
     memory = last_seen_in(7.0, 7.0, radius, NOW)
-    z = (7.0 + way * math.cos(where), 7.0 + way * math.sin(where), NOW - young_ticks)
-    here = State(7.0, 7.0, 0.0, 0.0)
-    known = discs.known_discs(q, seen(z, eps=eps), c.end_disc(memory), 0, NOW, here)
-    assert c.return_from(q, known, memory, NOW, here)
+    z = (7.0 + distance * math.cos(where), 7.0 + distance * math.sin(where), NOW - young_ticks)
+    own = State(7.0, 7.0, 0.0, 0.0)
+    known = discs.known_discs(q, seen(z, eps=eps), c.end_disc(memory), 0, NOW, own)
+    assert c.return_from(q, known, memory, NOW, own)
 
 
 @given(shares, angles, shares, angles, angles, errors)
@@ -386,18 +386,18 @@ def test_within_the_certified_radius_every_inner_control_acts(
 
 
 @pytest.mark.parametrize(
-    ("detections", "here", "wanted", "answer"),
+    ("detections", "own", "wanted", "answer"),
     [
         ([(0.0, 0.0, 0)], (3.36, 0.0, V_A, 0.0), (U_A, 0.0), (-U_A, 0.0, decision.BACKUP)),
         ([(0.0, 0.0, 0)], (3.36, 0.0, -V_A, 0.0), (U_A, 0.0), (U_A, 0.0, decision.NOMINAL)),
         ([(0.0, 0.0, 0)], (6.0, 0.0, 0.0, 0.0), (U_A, 0.0), (-U_A, 0.0, decision.BEST_EFFORT)),
         ([], (1.0, 1.0, 0.3, 0.0), (U_A, U_A), (-U_A, 0.0, decision.BEST_EFFORT)),
     ],
-    ids=["outward is stopped", "return is left alone", "out of reach", "no detection: it brakes"],
+    ids=["outward is stopped", "return is left alone", "out of range", "no detection: it brakes"],
 )
-def test_beyond_the_certified_radius_the_filter_acts(detections, here, wanted, answer):
+def test_beyond_the_certified_radius_the_filter_acts(detections, own, wanted, answer):
     found = decision.choose_control(
-        bounds_with(age=1.0), seen(*detections), no_trajectories(1), 0, State(*here), *wanted
+        bounds_with(age=1.0), seen(*detections), no_trajectories(1), 0, State(*own), *wanted
     )
     assert found == pytest.approx(answer)
 
@@ -464,13 +464,13 @@ ROOM = {"age": 1.0, "width": 10.0, "height": 10.0}
 def test_a_vehicle_that_is_driven_into_a_wall_keeps_a_plan_there() -> None:
     q = bounds_with(**ROOM)
     detections, plan = seen((2.0, 5.0, 0)), no_trajectories(1)
-    here, least = State(2.0, 5.0, 0.0, 0.0), 2.0
+    state, least = State(2.0, 5.0, 0.0, 0.0), 2.0
     for tick in range(400):
         detections["tick"][0] = tick
-        u_x, u_y, source = decision.choose_control(q, detections, plan, tick, here, -U_A, 0.0)
+        u_x, u_y, source = decision.choose_control(q, detections, plan, tick, state, -U_A, 0.0)
         assert source != decision.BEST_EFFORT
-        here, _ = step_in_area(q, here, u_x, u_y)
-        least = min(least, here.p_x)
+        state, _ = step_in_area(q, state, u_x, u_y)
+        least = min(least, state.p_x)
     assert least < 0.05
 
 
@@ -531,13 +531,16 @@ def test_discs_touching_up_to_rounding_give_their_common_point(steps: int) -> No
 
 @given(points, points, angles, shares, angles, shares)
 @settings(PROPERTY, max_examples=200)
-def test_between_ticks_the_vehicle_is_near_the_chord_of_its_way(x, y, angle, share, wanted, s):
+def test_between_ticks_the_vehicle_is_near_the_chord_of_its_path(x, y, angle, share, wanted, s):
     v_x, v_y = share * V_A * math.cos(angle), share * V_A * math.sin(angle)
     for dt in (0.05, 0.2, 3.0):
         p_x, p_y, w_x, w_y, _, _ = step_vehicle(
             x, y, v_x, v_y, math.cos(wanted), math.sin(wanted), V_A, U_A, dt
         )
         a_x, a_y, t = (w_x - v_x) / dt, (w_y - v_y) / dt, s * dt
-        way = (x + (v_x + 0.5 * a_x * t) * t, y + (v_y + 0.5 * a_y * t) * t)
+        distance = (x + (v_x + 0.5 * a_x * t) * t, y + (v_y + 0.5 * a_y * t) * t)
         chord = (x + s * (p_x - x), y + s * (p_y - y))
-        assert norm(way[0] - chord[0], way[1] - chord[1]) <= tick_sagitta(V_A, U_A, dt) + 1e-12
+        assert (
+            norm(distance[0] - chord[0], distance[1] - chord[1])
+            <= tick_sagitta(V_A, U_A, dt) + 1e-12
+        )

@@ -23,7 +23,7 @@ SLOW = ("command_timeout=2.0", "certificate.max_measurement_age=6.0")
 DECLARED = "certificate.max_command_delay=0.5"
 
 BROKEN = {
-    "regained with commands under way": ((*PERFECT, *LATE, BLACKOUTS), 7),
+    "regained with pending commands": ((*PERFECT, *LATE, BLACKOUTS), 7),
     "narrowband": ((NARROW, *SLOW), 8),
     "jammed": ((JAMMED, *SLOW), 9),
     "commands lost": ((*LATE, "links.commands.loss=0.05"), 7),

@@ -101,8 +101,8 @@ def test_planned_route_reaches_the_simulator_and_no_vehicle() -> None:
 
 
 MODELS = """
-    altitude buildings camera field grid ground hazards motion polygons randomness safety sensor
-    sensors sensors.hill sensors.plateau shadows vehicles"""
+    altitude buildings camera field grid ground hazards polygons randomness safety sensor sensors
+    sensors.hill sensors.plateau shadows trajectories vehicles"""
 ON_BOARD = {
     *(f"sim.models.{name}" for name in words(MODELS)),
     *(f"sim.compiling.{name}" for name in words("cache compile dispatch lanes records")),

@@ -43,7 +43,7 @@ SEED = 3
 
 
 def town(*changes: str) -> Scenario:
-    """Return a town whose buildings the UAV meets on its way."""
+    """Return a town whose buildings the UAV meets on its route."""
     houses = (
         f"{{polygon={[list(corner) for corner in polygon]}, height={height}}}"
         for polygon, height in zip(BLOCKS.values(), HEIGHTS, strict=True)
@@ -91,11 +91,11 @@ def visible_corners(flown: Flown, observation: UavObservation) -> list[set[int]]
     """Return the corners that a UAV sees of each building of its town, by shapely."""
     scenario = flown.flight.scenario
     (x, y), z = observation.position, observation.altitude or 0.0
-    reach = range_at(scenario.sensor.range, np.tan(scenario.camera.half_angle), z)
+    sensing_range = range_at(scenario.sensor.range, np.tan(scenario.camera.half_angle), z)
     shapes = [(Polygon(one.polygon), one.height) for one in flown.town]
 
     def sees(corner: tuple[float, float], height: float) -> bool:
-        if Point(corner).distance(Point(x, y)) > reach:
+        if Point(corner).distance(Point(x, y)) > sensing_range:
             return False
         for shape, other in shapes:
             if other > height:
@@ -111,7 +111,7 @@ def visible_corners(flown: Flown, observation: UavObservation) -> list[set[int]]
     ]
 
 
-def test_a_building_is_discovered_when_all_its_corners_have_been_seen(flown: Flown) -> None:
+def test_building_is_discovered_once_all_corners_are_detected(flown: Flown) -> None:
     """The UAV never flies lower than the roofs here."""
     corners: list[set[int]] = [set() for _ in flown.town]
     known: set[int] = set()
@@ -144,7 +144,7 @@ def test_own_map_shows_nothing_that_the_uav_has_not_seen(flown: Flown) -> None:
         assert under or (more > 0.0 and path.contains(Point(place)))
 
 
-def test_own_map_counts_no_ground_hidden_by_a_discovered_building() -> None:
+def test_own_map_omits_ground_hidden_by_a_discovered_building() -> None:
     """Two huts whose corners are all in view from the start: except under them, the map is that of the world."""
     huts = "building=[{polygon=[[5,4],[6,4],[6,5],[5,5]], height=4}, {polygon=[[3,7],[4,7],[3,8]], height=5}]"
     flown = Flown(town(huts))
@@ -158,8 +158,8 @@ def test_batch_and_environment_discover_like_a_run(flown: Flown) -> None:
     loop.begin([SEED, SEED + 1])
     loop.fly()
     state, world = loop.state, flown.flight.world
-    place = state.batch.vehicles["reference_position"][0]
-    assert place == pytest.approx(world.reference_position, abs=1e-9)
+    position = state.batch.vehicles["reference_position"][0]
+    assert position == pytest.approx(world.reference_position, abs=1e-9)
     found = state.batch.town.found
     ticks, counts = np.unique(found[0, 0][found[0, 0] >= 0], return_counts=True)
     assert dict(zip(ticks.tolist(), counts.tolist(), strict=True)) == flown.found

@@ -212,7 +212,7 @@ def linked(session: Session, **fields: Any) -> Iterator[DriveLink]:
         assert link.wait(10.0)
 
 
-def hold(link: DriveLink, heading: Heading, condition: Callable[[], object]) -> None:
+def press_until(link: DriveLink, heading: Heading, condition: Callable[[], object]) -> None:
     """Press a key repeatedly until a condition is true."""
 
     def is_reached() -> object:
@@ -309,11 +309,11 @@ def test_of_two_operators_only_one_drives_and_hands_back(endpoint: str) -> None:
         linked(one) as first,
         linked(other) as second,
     ):
-        hold(first, Heading.EAST, lambda: simulator.drives)
+        press_until(first, Heading.EAST, lambda: simulator.drives)
         await_banner(first, "YOU DRIVE ugv_0")
         await_banner(second, "another operator drives ugv_0")
         second.hand_back()
-        hold(second, Heading.NORTH, lambda: simulator.drives[-1].velocity == (0.0, 0.2))
+        press_until(second, Heading.NORTH, lambda: simulator.drives[-1].velocity == (0.0, 0.2))
         await_banner(second, "YOU DRIVE ugv_0")
         await_banner(first, "another operator drives ugv_0")
         first.hand_back()
@@ -333,14 +333,14 @@ def test_drive_continues_with_the_next_simulator(endpoint: str) -> None:
         linked(session, speed=0.1, back="waypoints") as link,
     ):
         with scripted(endpoint) as simulator:
-            hold(link, Heading.WEST, lambda: simulator.drives)
+            press_until(link, Heading.WEST, lambda: simulator.drives)
             assert simulator.drives[0].velocity == (-0.1, 0.0)
             await_banner(link, "YOU DRIVE")
         await_banner(link, "SIMULATOR DISCONNECTED")
         wait_until(lambda: link.view().wanted is None)  # a held key would not take control again
         with scripted(endpoint) as simulator:
             await_banner(link, "script drives ugv_0")
-            hold(link, Heading.NORTH, lambda: simulator.drives)
+            press_until(link, Heading.NORTH, lambda: simulator.drives)
             assert simulator.drives[-1].velocity == (0.0, 0.1)
             await_banner(link, "YOU DRIVE")
             link.leave()
@@ -356,7 +356,7 @@ def test_control_taken_before_the_first_status_is_handed_back(endpoint: str) -> 
         controls = mute.inbox(CONTROL)
         mute.announce()
         with linked(session) as link:
-            hold(link, Heading.EAST, controls.holds_any)
+            press_until(link, Heading.EAST, controls.holds_any)
             taken = controls.next_waiting()
         wait_until(controls.holds_any)
         returned = controls.next_waiting()
@@ -374,7 +374,7 @@ def test_operator_drives_a_simulated_ugv_without_jumps(tmp_path: Path) -> None:
         def work(_send: Any, status: Any) -> None:
             with linked(run.client("operator"), status=status(lambda s: s.tick > 10)) as link:
                 velocity = run.server.flight.world.velocity
-                hold(link, Heading.WEST, lambda: velocity[1, 0] < -0.15)
+                press_until(link, Heading.WEST, lambda: velocity[1, 0] < -0.15)
                 await_banner(link, "YOU DRIVE ugv_0")
             assert link.farewell() == "ugv_0: control returned to waypoints"
             run.server.flight.stop()

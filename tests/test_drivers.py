@@ -222,16 +222,16 @@ def _ticks_to_rest(v_max: float, u_max: float, dt: float) -> int:
     return math.ceil(v_max / (u_max * dt) - 1e-9) + 1
 
 
-holds = st.sampled_from((0.0, 0.4, 1.0))
+timeouts = st.sampled_from((0.0, 0.4, 1.0))
 
 
-@given(st.lists(drives, min_size=1, max_size=3), headings, speeds, accelerations, steps, holds)
+@given(st.lists(drives, min_size=1, max_size=3), headings, speeds, accelerations, steps, timeouts)
 @settings(PROPERTY)
 def test_ugv_stops_when_the_operator_falls_silent(
-    messages, heading, v_max, u_max, dt, hold
+    messages, heading, v_max, u_max, dt, timeout
 ) -> None:
-    driver = TeleopDriver(_briefing(v_max=v_max, u_max=u_max, dt=dt, command_timeout=hold))
-    still = 1 + round(hold / dt) + _ticks_to_rest(v_max, u_max, dt)
+    driver = TeleopDriver(_briefing(v_max=v_max, u_max=u_max, dt=dt, command_timeout=timeout))
+    still = 1 + round(timeout / dt) + _ticks_to_rest(v_max, u_max, dt)
     moving = {"velocity": _velocity(heading, v_max), "dt": dt}
     rows, _ = _drive(driver, still + 50, **moving, receives=_once(*messages))
     assert np.abs(rows[still:, 2:4]).max() <= 1e-12 * v_max
@@ -399,7 +399,7 @@ def test_evader_reverses_only_while_the_uav_approaches_fast(start: float, speed:
         assert rows[130:, 2].max() < -0.95 * V_G
 
 
-def test_evader_accounts_for_its_motion_since_the_message() -> None:
+def test_evader_accounts_for_its_movement_since_the_message() -> None:
     commands, velocity = [], np.array((0.1, -0.1))
     for age in (0, 8):
         before = MIDDLE - age * DT * velocity

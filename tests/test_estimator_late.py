@@ -347,7 +347,7 @@ def test_is_not_too_sure_of_a_real_ugv_after_a_long_gap(gap):
     acceleration=st.one_of(st.none(), st.floats(0.01, 10.0)),
 )
 @PROPERTY
-def test_estimate_stays_within_reach_of_the_ugv(flight, noise, speed, acceleration):
+def test_estimate_stays_near_the_ugv(flight, noise, speed, acceleration):
     estimator = make(noise, target=Limits(max_speed=speed, max_acceleration=acceleration))
     call(estimator, 0, detection(0, (20.0, 20.0)))
     tick, last, waiting = 0, None, []

@@ -32,7 +32,7 @@ R, R_V, DESIRED = 5.0, 4.75, 2.0
 R_O = R_V + R
 
 
-class Place(NamedTuple):
+class Patch(NamedTuple):
     """A patch of ground, partly covered, with both vehicles on it or beside it."""
 
     coverage: FloatGrid
@@ -41,13 +41,13 @@ class Place(NamedTuple):
     p_ay: float
     p_gx: float
     p_gy: float
-    reach: float
+    sensing_range: float
     r_o: float
     sensor: int
 
 
 @st.composite
-def places(draw: st.DrawFn) -> Place:
+def patches(draw: st.DrawFn) -> Patch:
     """Draw non-square areas, cells of many sizes, and vehicles inside Q, on its border and outside."""
     cell = draw(st.sampled_from((0.1, 0.25, 0.37, 1.0)))
     rows, columns = draw(st.integers(1, 60)), draw(st.integers(1, 60))
@@ -58,36 +58,36 @@ def places(draw: st.DrawFn) -> Place:
         st.sampled_from((0.0, side, 0.5 * side)) | st.floats(-3.0, side + 3.0)
         for side in (columns * cell, rows * cell)
     )
-    reach, sensor = draw(st.floats(0.05, 8.0)), st.sampled_from(range(len(SENSORS)))
-    both, r_o = (draw(one) for one in (x, y, x, y)), reach * draw(st.floats(1.01, 2.0))
-    return Place(coverage, cell, *both, reach, r_o, draw(sensor))
+    sensing_range, sensor = draw(st.floats(0.05, 8.0)), st.sampled_from(range(len(SENSORS)))
+    both, r_o = (draw(one) for one in (x, y, x, y)), sensing_range * draw(st.floats(1.01, 2.0))
+    return Patch(coverage, cell, *both, sensing_range, r_o, draw(sensor))
 
 
-@given(places())
+@given(patches())
 @settings(PROPERTY, max_examples=300)
-def test_accumulation_is_quality_times_time_in_every_cell(place: Place) -> None:
-    sensor, kernel = SensorParameters(place.sensor, 1.7, place.reach), place.coverage.copy()
-    accumulate(kernel, place.p_ax, place.p_ay, sensor, place.cell, 0.05)
-    wanted = reference.accumulate(place.coverage, place.p_ax, place.p_ay, *sensor, place.cell, 0.05)
+def test_accumulation_is_quality_times_time_in_every_cell(patch: Patch) -> None:
+    sensor, kernel = SensorParameters(patch.sensor, 1.7, patch.sensing_range), patch.coverage.copy()
+    accumulate(kernel, patch.p_ax, patch.p_ay, sensor, patch.cell, 0.05)
+    wanted = reference.accumulate(patch.coverage, patch.p_ax, patch.p_ay, *sensor, patch.cell, 0.05)
     np.testing.assert_allclose(kernel, wanted, rtol=1e-12, atol=1e-12 * 1.7 * 0.05)
 
 
-@given(places())
+@given(patches())
 @settings(PROPERTY, max_examples=300)
-def test_error_is_the_integral_over_the_whole_grid(place: Place) -> None:
-    arguments = (place.coverage, place.p_gx, place.p_gy, place.r_o, DESIRED, place.cell)
+def test_error_is_the_integral_over_the_whole_grid(patch: Patch) -> None:
+    arguments = (patch.coverage, patch.p_gx, patch.p_gy, patch.r_o, DESIRED, patch.cell)
     wanted = reference.coverage_error(*arguments)
-    least = 1e-12 * DESIRED**2 * place.cell**2
+    least = 1e-12 * DESIRED**2 * patch.cell**2
     assert coverage_error(*arguments) == pytest.approx(wanted, rel=1e-12, abs=least)
 
 
-@given(places())
+@given(patches())
 @settings(PROPERTY, max_examples=300)
-def test_gradient_is_the_integral_over_the_whole_grid(place: Place) -> None:
-    arguments = (place.coverage, place.p_ax, place.p_ay, place.p_gx, place.p_gy, place.r_o, DESIRED)
-    sensor = SensorParameters(place.sensor, 1.7, place.reach)
-    u_x, u_y, size = coverage_gradient(*arguments, sensor, place.cell)
-    wanted = reference.coverage_gradient(*arguments, *sensor, place.cell)
+def test_gradient_is_the_integral_over_the_whole_grid(patch: Patch) -> None:
+    arguments = (patch.coverage, patch.p_ax, patch.p_ay, patch.p_gx, patch.p_gy, patch.r_o, DESIRED)
+    sensor = SensorParameters(patch.sensor, 1.7, patch.sensing_range)
+    u_x, u_y, size = coverage_gradient(*arguments, sensor, patch.cell)
+    wanted = reference.coverage_gradient(*arguments, *sensor, patch.cell)
     assert (u_x, u_y) == pytest.approx(wanted, rel=1e-12, abs=1e-12 * size)
 
 
@@ -204,10 +204,10 @@ def test_error_is_nothing_where_all_is_covered_and_only_there() -> None:
     assert coverage_error(coverage, 35.0, 35.0, R_O, DESIRED, 0.25) == 0.0  # it is not near the UGV
 
 
-@given(places(), st.sampled_from((DESIRED, 0.3, 7.0)))
+@given(patches(), st.sampled_from((DESIRED, 0.3, 7.0)))
 @PROPERTY
-def test_shares_are_those_of_every_cell(place: Place, desired: float) -> None:
-    for coverage in (place.coverage, np.minimum(place.coverage, desired)):  # also C = C*
+def test_shares_are_those_of_every_cell(patch: Patch, desired: float) -> None:
+    for coverage in (patch.coverage, np.minimum(patch.coverage, desired)):  # also C = C*
         covered, seen = coverage_shares(coverage, desired)
         assert covered == np.count_nonzero(coverage >= desired) / coverage.size
         assert seen == pytest.approx(np.minimum(coverage / desired, 1.0).mean(), rel=1e-12)
@@ -225,10 +225,10 @@ def test_covered_ground_keeps_the_larger_value() -> None:
 
 
 @pytest.mark.parametrize("sensor", range(len(SENSORS)))
-@pytest.mark.parametrize("place", [(20.0, 20.0), (0.4, 39.7)])
-def test_gain_of_a_sensing_step_is_the_decrease_of_the_error(sensor, place):
+@pytest.mark.parametrize("position", [(20.0, 20.0), (0.4, 39.7)])
+def test_gain_of_a_sensing_step_is_the_decrease_of_the_error(sensor, position):
     ground = np.random.default_rng(3).uniform(0.0, 2.5, (160, 160))
-    (p_x, p_y), (g_x, g_y), dt = place, (place[0] + 1.5, place[1] - 2.0), 0.05
+    (p_x, p_y), (g_x, g_y), dt = position, (position[0] + 1.5, position[1] - 2.0), 0.05
     plain, seen, parameters = ground.copy(), ground.copy(), SensorParameters(sensor, 1.0, R)
     accumulate(plain, p_x, p_y, parameters, 0.25, dt)
     demand = Demand(g_x, g_y, R_O, DESIRED)

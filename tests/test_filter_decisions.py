@@ -160,7 +160,7 @@ OUT, BACK = (U_A, 0.0), (-U_A, 0.0)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.5])
-def test_lost_command_pauses_the_certificate_until_a_motion(delay) -> None:
+def test_lost_command_pauses_certificate_until_a_trajectory(delay) -> None:
     uav, d = Vehicle(delay), round(delay / DT)
     for _ in range(20):
         assert uav.fly(OUT) is None
@@ -187,7 +187,7 @@ def test_possibly_unsent_commands_are_not_relied_on() -> None:
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.5])
-def test_moving_uav_is_certified_from_its_first_motion_on(delay: float) -> None:
+def test_moving_uav_is_certified_from_its_first_trajectory(delay: float) -> None:
     uav, d = Vehicle(delay, uav=Uav(position=(20.0, 20.0), velocity=(0.3, 0.0))), round(delay / DT)
     reasons = [uav.fly(OUT) for _ in range(d + 10)]
     assert set(reasons[:d]) <= {NotCertified.UNCHECKED_PLAN}

@@ -51,8 +51,8 @@ def stars(draw, kinds=kinds) -> Hazard:
     """Draw a simple polygon, mostly not convex: its corners surround one of its points."""
     x, y = draw(points)
     radii = draw(st.lists(st.floats(0.05, 2.5), min_size=3, max_size=9))
-    turn, way = draw(st.floats(0.0, 6.28)), draw(st.sampled_from((1, -1)))
-    angles = [turn + 2.0 * math.pi * n / len(radii) for n in range(len(radii))][::way]
+    turn, step = draw(st.floats(0.0, 6.28)), draw(st.sampled_from((1, -1)))
+    angles = [turn + 2.0 * math.pi * n / len(radii) for n in range(len(radii))][::step]
     corners = tuple(
         (x + r * math.cos(angle), y + r * math.sin(angle))
         for r, angle in zip(radii, angles, strict=True)
@@ -121,9 +121,9 @@ def test_path_meets_the_first_hazard_that_its_points_meet(hazards, start, end) -
     rows, corners = tables(hazards)
     found, share = crosses_hazard(rows, corners, BLOCK, start, end)
     shares = np.linspace(0.0, 1.0, 2001)
-    way = np.array(start) + shares[:, None] * (np.array(end) - np.array(start))
+    path = np.array(start) + shares[:, None] * (np.array(end) - np.array(start))
     blocking = [h for h in hazards if h.kind == "block"]
-    met = np.any([contains(h, *way.T) for h in blocking], axis=0) if blocking else np.zeros(2001)
+    met = np.any([contains(h, *path.T) for h in blocking], axis=0) if blocking else np.zeros(2001)
     if met.any():
         first = shares[met.argmax()]
         assert share <= first + 1e-9

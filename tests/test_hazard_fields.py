@@ -154,7 +154,7 @@ def test_each_seed_has_other_hazards_and_the_same_seed_the_same() -> None:
     assert not set(placed(1)) & set(placed(2))
 
 
-def test_ten_thousand_hazards_leave_the_ways_open_on_a_large_map() -> None:
+def test_ten_thousand_hazards_leave_routes_open_on_a_large_map() -> None:
     s = load_scenario(
         "escort",
         overrides={

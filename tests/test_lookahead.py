@@ -44,7 +44,7 @@ def _ahead(uav: Any, coverage: Any, tick: int, target: Target, persistence: floa
 
 
 def _flown(
-    uav: Any, ahead: Ahead, motion: np.ndarray, samples: int, blocks: Occlusion | None = None
+    uav: Any, ahead: Ahead, velocities: np.ndarray, samples: int, blocks: Occlusion | None = None
 ) -> float:
     """Return the result of `worth` by the step and kernels of the world, with several sensing times in each step."""
     seen = empty_coverage(uav["width"], uav["height"], uav["cell"])
@@ -55,22 +55,24 @@ def _flown(
     tail = round(5.0 / ahead.step)
     for k in range(len(ahead.legs) + tail):
         if k < len(ahead.legs):
-            w, began = motion[ahead.legs[k]], state[:2]
+            w, began = velocities[ahead.legs[k]], state[:2]
             for part in range(parts):
                 u = (w - np.array(state[2:])) / tick
                 state = step_vehicle(*state, *u.tolist(), math.inf, uav["max_acceleration"], tick)[
                     :4
                 ]
                 if samples > 1 and part % (parts // samples) == parts // samples // 2:
-                    place, time = state[:2], ahead.step / samples
-                    accumulate(seen, *place, *sensor, time, blocks)
+                    position, time = state[:2], ahead.step / samples
+                    accumulate(seen, *position, *sensor, time, blocks)
             if samples == 1:
                 x, y = (0.5 * (a + b) for a, b in zip(began, state[:2], strict=True))
                 accumulate(seen, x, y, *sensor, ahead.step, blocks)
         after = (k + 1) * ahead.step
-        place = (UGV.p_x + after * UGV.v_x, UGV.p_y + after * UGV.v_y)
+        position = (UGV.p_x + after * UGV.v_x, UGV.p_y + after * UGV.v_y)
         errors = (
-            coverage_error(one, *place, uav["density_radius"], uav["desired_coverage"], uav["cell"])
+            coverage_error(
+                one, *position, uav["density_radius"], uav["desired_coverage"], uav["cell"]
+            )
             for one in (unseen, seen)
         )
         saved -= ahead.step * math.exp(-0.06 * after) * float(np.diff(list(errors))[0])
@@ -78,7 +80,7 @@ def _flown(
 
 
 @pytest.mark.parametrize(("cell", "samples", "within"), [(1.5, 1, 1e-3), (0.25, 20, 0.05)])
-def test_value_of_a_motion_matches_the_kernels_of_the_world(cell, samples, within) -> None:
+def test_value_of_a_candidate_matches_the_kernels_of_the_world(cell, samples, within) -> None:
     """Use the coarse cells themselves, and cells of the world with a sensing step at every tick."""
     c, rng = _uav(cell), np.random.default_rng(3)
     coverage = empty_coverage(36.0, 36.0, cell)
@@ -86,13 +88,13 @@ def test_value_of_a_motion_matches_the_kernels_of_the_world(cell, samples, withi
     ahead = _ahead(c, coverage, 7, UGV, FOREVER)
     for _ in range(2):
         angle, speed = rng.uniform(0.0, 2.0 * math.pi, 9), rng.uniform(0.3, 0.6, 9)
-        motion = np.stack((speed * np.cos(angle), speed * np.sin(angle)), axis=-1)
-        value = worth(c, ahead, HERE, motion, np.empty_like(ahead.lack), np.empty(8))
+        velocities = np.stack((speed * np.cos(angle), speed * np.sin(angle)), axis=-1)
+        value = worth(c, ahead, HERE, velocities, np.empty_like(ahead.lack), np.empty(8))
         assert value > 100.0
-        assert value == pytest.approx(_flown(c, ahead, motion, samples), rel=within)
+        assert value == pytest.approx(_flown(c, ahead, velocities, samples), rel=within)
 
 
-def test_motion_is_worth_the_ground_that_it_will_see() -> None:
+def test_candidate_is_worth_the_ground_that_it_will_see() -> None:
     """The law takes the camera to be over the center of its coarse cell, so the value is not exact."""
     c, rng = _uav(0.75), np.random.default_rng(3)
     coverage = empty_coverage(36.0, 36.0, 0.75)
@@ -102,21 +104,21 @@ def test_motion_is_worth_the_ground_that_it_will_see() -> None:
     ahead = _ahead(c, coverage, 7, UGV, FOREVER)
     for _ in range(5):
         angle, speed = rng.uniform(0.0, 2.0 * math.pi, 9), rng.uniform(0.3, 0.6, 9)
-        motion = np.stack((speed * np.cos(angle), speed * np.sin(angle)), axis=-1)
+        velocities = np.stack((speed * np.cos(angle), speed * np.sin(angle)), axis=-1)
         work = np.empty_like(ahead.lack), np.empty(8)
-        value = worth(c, ahead, HERE, motion, *work, empty_views(ahead, blocks))
-        assert value == pytest.approx(_flown(c, ahead, motion, 20, blocks), rel=0.05)
-        assert value < 0.8 * worth(c, ahead, HERE, motion, *work)
+        value = worth(c, ahead, HERE, velocities, *work, empty_views(blocks, ahead))
+        assert value == pytest.approx(_flown(c, ahead, velocities, 20, blocks), rel=0.05)
+        assert value < 0.8 * worth(c, ahead, HERE, velocities, *work)
 
 
-def test_lookahead_penalizes_filtered_and_outside_motion() -> None:
+def test_lookahead_penalizes_filtered_and_outside_candidates() -> None:
     still = np.zeros((9, 2))
     coverage = np.full_like(empty_coverage(36.0, 36.0, 0.25), DESIRED)
     ahead = _ahead(_uav(0.25), coverage, 0, UGV._replace(v_x=0.0, v_y=0.0), FOREVER)
 
-    def costs(here: State, *, room: float = 100.0, margin: float = -100.0) -> float:
+    def costs(own: State, *, room: float = 100.0, margin: float = -100.0) -> float:
         lack, adapted = np.empty_like(ahead.lack), ahead._replace(margin=margin)
-        return -worth(_uav(0.25, room), adapted, here, still, lack, np.empty(8))
+        return -worth(_uav(0.25, room), adapted, own, still, lack, np.empty(8))
 
     near, far = State(17.0, 15.0, 0.0, 0.0), State(19.5, 15.0, 0.0, 0.0)
     assert costs(near, room=4.4) == 0.0
@@ -171,16 +173,16 @@ def test_lookahead_horizon_beats_the_logarithmic_law() -> None:
 
 
 def _observations(law: Law | None = None) -> list[UavObservation]:
-    rng, here = np.random.default_rng(8), np.array([8.0, 7.0])
+    rng, start = np.random.default_rng(8), np.array([8.0, 7.0])
     found = []
     for tick in range(60):
         detection = tick * 0.05, tuple((rng.normal(0.0, 0.1, 2) + 0.01 * tick).tolist())
-        own = {"position": tuple((here + 0.02 * tick).tolist()), "velocity": (0.4, 0.4)}
-        found.append(uav_sees(tick, detection, **own, law=law if tick == 25 else None))
+        states = {"position": tuple((start + 0.02 * tick).tolist()), "velocity": (0.4, 0.4)}
+        found.append(uav_sees(tick, detection, **states, law=law if tick == 25 else None))
     return found
 
 
-def test_rejoining_process_continues_the_same_motion() -> None:
+def test_rejoining_process_continues_the_same_trajectory() -> None:
     briefing = briefing_of(SCENARIOS["lookahead"])
     seen = _observations()
     one, other = UavPilot(briefing), UavPilot(briefing)

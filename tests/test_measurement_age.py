@@ -15,12 +15,12 @@ def test_a_measurement_certifies_for_exactly_its_declared_age() -> None:
     declared = SafetyParameters(max_measurement_error=0.1, max_measurement_age=1.0)
     vehicles = {"visibility_radius": 4.75, "v_a": 0.6, "u_a": 0.3, "v_g": 0.2}
     bounds = certificate(safety_bounds(declared, dt=0.05, **vehicles))
-    memory, here = filter_memory(bounds.delay_ticks, depth=100), State(20.0, 20.0, 0.0, 0.0)
+    memory, own = filter_memory(bounds.delay_ticks, depth=100), State(20.0, 20.0, 0.0, 0.0)
     reasons = []
     for tick in range(24):
-        add_position(memory, tick, here.p_x, here.p_y)
+        add_position(memory, tick, own.p_x, own.p_y)
         if tick == 0:
-            add_measurement(bounds, memory, 0, (0.0, 0.0), tick, here)
-        decide(bounds, memory, tick, here, 0.0, 0.0)
+            add_measurement(bounds, memory, 0, (0.0, 0.0), tick, own)
+        decide(bounds, memory, tick, own, 0.0, 0.0)
         reasons.append(choice(NotCertified, int(memory.decision[0]["reason"])))
     assert reasons == [None] * 21 + [NotCertified.MEASUREMENT_TOO_OLD] * 3

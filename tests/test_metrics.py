@@ -106,7 +106,7 @@ def test_a_row_of_a_sweep_has_the_columns_types(pairs: Summary) -> None:
     assert row["detections_max_age"] == max(age for age in ages if age is not None)
 
 
-def test_sight_at_low_altitude_is_judged_by_what_is_visible_there() -> None:
+def test_sight_at_low_altitude_depends_on_visibility_there() -> None:
     changes = {"uav.0.initial_altitude": 4.0, "law.name": "coverage", "duration": 25.0}
     scenario = load_scenario("escort", overrides=changes)
     flight, summary = fly(scenario, scenario.seed)

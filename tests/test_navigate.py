@@ -70,7 +70,7 @@ def _plan(memory: Any, tile: float, goal: int, until: int = -1, most: int = 1 <<
 
 
 def _costs(memory: Any) -> Any:
-    return np.where(memory.place == -1, np.inf, memory.cost)
+    return np.where(memory.heap_row == -1, np.inf, memory.cost)
 
 
 def _steps(memory: Any, tile: float, goal: int) -> Any:
@@ -119,9 +119,9 @@ def test_plan_matches_a_library_for_any_tiles_per_tick(seed: int) -> None:
     reached, onward = np.isfinite(costs), dict[int, list[tuple[float, int]]]()
     for n, m, cost in _steps(memory, tile, goal):
         onward.setdefault(n, []).append((float(costs[m]) + cost, m))
-    for n, ways in onward.items():
+    for n, options in onward.items():
         assert has_path(path, n) == reached[n]
-        following = min(ways)[1] if reached[n] and n != goal else n
+        following = min(options)[1] if reached[n] and n != goal else n
         assert next_tile(path, columns, n) == following
     _plan(memory, tile, goal, most=int(rng.integers(1, 9)))
     assert (_costs(memory).tobytes(), memory.path.tobytes()) == (costs.tobytes(), path.tobytes())
@@ -132,20 +132,20 @@ def test_a_search_settles_no_more_tiles_in_a_tick_than_it_may() -> None:
     start_search(memory, 615)
     for tick in range(1, 20):
         assert not continue_search(ROUGH_PRICE, 0.5, memory, -1, 17)
-        assert (memory.place == -2).sum() == 17 * tick
+        assert (memory.heap_row == -2).sum() == 17 * tick
 
 
 def test_early_search_end_has_exact_costs_so_far() -> None:
     rng = np.random.default_rng(5)
     memory = _random_map(rng, 30, 40)
     _plan(memory, 0.5, 615)
-    full, way = _costs(memory), memory.path.copy()
+    full, path = _costs(memory), memory.path.copy()
     for until in np.flatnonzero(np.isfinite(full))[::97]:
         settled = _plan(memory, 0.5, 615, int(until))
         known = _costs(memory) <= settled
         assert settled == full[until]
         assert (memory.cost[known] == full[known]).all()
-        assert (memory.path[known] == way[known]).all()
+        assert (memory.path[known] == path[known]).all()
         assert known.sum() >= (full <= settled).sum()
 
 
@@ -200,21 +200,21 @@ def test_a_triangle_is_open_if_all_tiles_that_it_touches_are(degenerate: bool) -
             assert is_open
 
 
-def test_the_braking_way_is_what_braking_takes() -> None:
+def test_the_braking_distance_is_what_braking_takes() -> None:
     rng = np.random.default_rng(3)
     for _ in range(300):
         dt, u = rng.uniform(0.02, 0.2), rng.choice([rng.uniform(0.01, 50.0), math.inf])
         speed, slow = rng.uniform(0.0, 5.0, 2)
-        x = y = way = 0.0
+        x = y = distance = 0.0
         v_x, v_y = 0.6 * speed, 0.8 * speed
         slowed = 0.0 if speed <= slow else math.nan
         while norm(v_x, v_y) > 1e-12:
             command = brake(v_x, v_y, u, dt)
             x, y, v_x, v_y, _, _ = step_vehicle(x, y, v_x, v_y, *command, 5.0, u, dt)
-            way = norm(x, y)
+            distance = norm(x, y)
             if math.isnan(slowed) and norm(v_x, v_y) <= slow:
-                slowed = way
-        assert braking_distance(speed, u, dt) == pytest.approx(way, abs=1e-11)
+                slowed = distance
+        assert braking_distance(speed, u, dt) == pytest.approx(distance, abs=1e-11)
         assert slowing_distance(speed, slow, u, dt) == pytest.approx(slowed, abs=1e-11)
 
 
@@ -229,10 +229,10 @@ def _on_tiles(**numbers: float) -> Any:
 def test_fastest_safe_speed_just_allows_a_stop() -> None:
     tiles = np.full((8, 8), CLEAR, np.uint8)
     tiles[:, 5:] = UNSEEN
-    p, here = _on_tiles(max_speed=3.0), State(2.5, 2.5, 1.0, 0.0)
+    p, own = _on_tiles(max_speed=3.0), State(2.5, 2.5, 1.0, 0.0)
     fastest = 0.0
     for speed in np.linspace(0.0, 3.0, 3001):
-        if is_safe(p, False, tiles, open_to(0), here._replace(v_x=float(speed)), 0.0, 0.0):
+        if is_safe(p, False, tiles, open_to(0), own._replace(v_x=float(speed)), 0.0, 0.0):
             fastest = float(speed)
     assert fastest * 0.1 + braking_distance(fastest, 1.0, 0.1) == pytest.approx(2.5, abs=3e-3)
 
@@ -246,13 +246,13 @@ def test_safe_commands_leave_braking_safe_on_rough_ground() -> None:
         )
         angle, speed = rng.uniform(0.0, 6.3), rng.uniform(0.0, 2.0)
         v_x, v_y = speed * math.cos(angle), speed * math.sin(angle)
-        here = State(*rng.uniform(0.5, 7.5, 2), v_x, v_y)
+        own = State(*rng.uniform(0.5, 7.5, 2), v_x, v_y)
         u_x, u_y = rng.uniform(-4.0, 4.0, 2)
-        if not is_safe(p, False, tiles, open_to(0), here, u_x, u_y):
+        if not is_safe(p, False, tiles, open_to(0), own, u_x, u_y):
             continue
         used += 1
         slowed = rng.uniform(0.05, 2.0)
-        then = State(*step_vehicle(*here, u_x, u_y, slowed, 4.0, 0.1)[:4])
+        then = State(*step_vehicle(*own, u_x, u_y, slowed, 4.0, 0.1)[:4])
         stop = brake(then.v_x, then.v_y, 4.0, 0.1)
         assert is_safe(p, False, tiles, open_to(0), then, *stop)
     assert used > 300
@@ -262,8 +262,8 @@ def test_late_commands_keep_it_slow_before_rough_ground() -> None:
     tiles = np.full((8, 8), CLEAR, np.uint8)
     tiles[:, 4] = ROUGH
     fast, near = State(2.0, 2.5, 1.0, 0.0), State(3.8, 2.5, 1.0, 0.0)
-    for here, late, safe in ((fast, True, True), (near, False, True), (near, True, False)):
-        assert is_safe(_on_tiles(), late, tiles, open_to(0), here, 0.0, 0.0) == safe
+    for own, late, safe in ((fast, True, True), (near, False, True), (near, True, False)):
+        assert is_safe(_on_tiles(), late, tiles, open_to(0), own, 0.0, 0.0) == safe
     slow = near._replace(v_x=0.4)
     assert is_safe(_on_tiles(), True, tiles, open_to(0), slow, 0.0, 0.0)
 
@@ -271,12 +271,12 @@ def test_late_commands_keep_it_slow_before_rough_ground() -> None:
 def test_ugv_leaves_its_blocked_tile_and_enters_none() -> None:
     tiles = np.full((8, 8), CLEAR, np.uint8)
     tiles[2, 2] = tiles[2, 3] = BLOCK
-    here, memory = State(2.5, 2.5, 0.0, 0.0), occupancy_grid(8, 8)
+    own, memory = State(2.5, 2.5, 0.0, 0.0), occupancy_grid(8, 8)
     memory.tiles[:] = tiles
-    ground = open_from(memory, 1.0, 0, here.p_x, here.p_y)
+    ground = open_from(memory, 1.0, 0, own.p_x, own.p_y)
     fast = _on_tiles(max_speed=20.0, max_acceleration=50.0)
-    assert is_safe(fast, False, tiles, ground, here, 0.0, 50.0)
-    assert not is_safe(fast, False, tiles, ground, here._replace(v_x=4.9), 50.0, 0.0)
+    assert is_safe(fast, False, tiles, ground, own, 0.0, 50.0)
+    assert not is_safe(fast, False, tiles, ground, own._replace(v_x=4.9), 50.0, 0.0)
     assert open_from(memory, 1.0, 1, 0.5, 0.5) == open_to(1)
 
 
@@ -289,15 +289,15 @@ def test_cautious_ugv_enters_no_unknown_tile_under_attack(cautious) -> None:
         cautious.fly(cautious.draw_trial(seed), seed, lossy=seed % 2 == 1) for seed in range(100)
     ]
     assert sum(one.entered for one in flights) == 0
-    assert sum(one.way > 0.0 for one in flights) > 40
+    assert sum(one.driven > 0.0 for one in flights) > 40
 
 
-def test_a_ugv_keeps_its_distance_from_unknown_ground_under_attack(cautious) -> None:
+def test_ugv_keeps_its_distance_from_unknown_ground(cautious) -> None:
     """The long version with 10,000 runs: `python benchmarks/cautious_attacks.py clearance`."""
     trials = [cautious.draw_distant_trial(seed) for seed in range(100)]
     flights = [cautious.fly(one, seed, lossy=True) for seed, one in enumerate(trials)]
     assert sum(one.entered + one.near + one.broken for one in flights) == 0
-    assert sum(one.way > 0.0 for one in flights) > 30
+    assert sum(one.driven > 0.0 for one in flights) > 30
     kept = [max(0.0, one.clearance - one.parameters.tile) for one in trials]
     nearer = (cautious.fly(one, k, kept=kept[k]).near for k, one in enumerate(trials))
     assert any(nearer)
@@ -316,7 +316,7 @@ def test_an_unforeseen_delay_is_caught(cautious: ModuleType) -> None:
     assert any(one.entered for one in flights)
 
 
-def test_it_arrives_wherever_there_is_a_way(cautious: ModuleType) -> None:
+def test_it_arrives_wherever_there_is_a_path(cautious: ModuleType) -> None:
     trials = {seed: cautious.draw_trial(seed, wheel="plan", calm=True) for seed in range(60)}
     able = {seed: trial for seed, trial in trials.items() if cautious.is_reachable(trial)}
     assert len(able) > 15
@@ -339,15 +339,15 @@ def _parameters(**numbers: Any) -> Any:
     return records(NavigateParameters, [changed]).view(np.recarray)[0]
 
 
-def _step(p: Any, here: State, u: tuple[float, float]) -> State:
-    return State(*step_vehicle(*here, *u, p.max_speed, p.max_acceleration, p.dt)[:4])
+def _step(p: Any, own: State, u: tuple[float, float]) -> State:
+    return State(*step_vehicle(*own, *u, p.max_speed, p.max_acceleration, p.dt)[:4])
 
 
 def _drive(p: Any, memory: Any, goals: Any, ticks: int, start: Any) -> Any:
-    here, track = State(*start, 0.0, 0.0), []
+    own, track = State(*start, 0.0, 0.0), []
     for tick in range(ticks):
-        here = _step(p, here, navigate_control(p, memory, np.array(goals), tick, here, PLAIN))
-        track.append(here)
+        own = _step(p, own, navigate_control(p, memory, np.array(goals), tick, own, PLAIN))
+        track.append(own)
     return np.array(track)
 
 
@@ -419,34 +419,34 @@ def test_it_comes_to_rough_ground_as_slow_as_that_lets_it() -> None:
 
 def test_news_in_every_tick_keeps_no_search_from_its_end() -> None:
     p, memory = _parameters(plan_tiles=15), _ground()
-    here, plans, speeds = State(1.0, 2.5, 0.0, 0.0), set(), []
+    own, plans, speeds = State(1.0, 2.5, 0.0, 0.0), set(), []
     far = np.array([9]), np.array([0])
     for tick in range(400):
         record_tiles(memory, *far, np.array([(CLEAR, FOUND)[tick % 2]], np.uint8))
         if tick == 100:  # a wall with a gap
             record_tiles(memory, np.arange(8), np.full(8, 30), np.full(8, BLOCK, np.uint8))
-        here = _step(p, here, navigate_control(p, memory, np.array(GOAL), tick, here, PLAIN))
+        own = _step(p, own, navigate_control(p, memory, np.array(GOAL), tick, own, PLAIN))
         plans.add(int(memory.flags[0]["plans"]))
-        speeds.append(norm(here.v_x, here.v_y))
+        speeds.append(norm(own.v_x, own.v_y))
     assert len(plans) > 10
-    assert np.hypot(here.p_x - 18.0, here.p_y - 2.5) < p.goal_tolerance
+    assert np.hypot(own.p_x - 18.0, own.p_y - 2.5) < p.goal_tolerance
     assert min(speeds[60:150]) > 0.5  # meanwhile it drives on the previous plan
 
 
-def test_without_goals_or_without_a_way_it_stands_still() -> None:
+def test_without_goals_or_without_a_path_it_stands_still() -> None:
     p, memory = _parameters(), _ground()
     assert not _drive(p, memory, np.zeros((0, 2)), 5, (1.0, 2.5)).T[2:].any()
     memory.tiles[:, 20] = BLOCK
     assert not _drive(p, memory, GOAL, 5, (1.0, 2.5)).T[2:].any()
 
 
-def test_the_state_ahead_is_where_the_commands_under_way_lead() -> None:
+def test_the_state_ahead_is_where_the_pending_commands_lead() -> None:
     p, memory = _parameters(), _ground(delay=3)
-    queue, here = [(0.0, 0.0)] * 3, State(1.0, 2.5, 0.0, 0.0)
+    queue, own = [(0.0, 0.0)] * 3, State(1.0, 2.5, 0.0, 0.0)
     foreseen: dict[int, State] = {}
     for tick in range(60):
-        foreseen[tick + 3], _ = state_ahead(p, memory, tick, here, PLAIN)
-        queue.append(navigate_control(p, memory, np.array(GOAL), tick, here, PLAIN))
-        assert foreseen.get(tick, here) == here
-        here = _step(p, here, queue.pop(0))
-    assert here.v_x > 0.5
+        foreseen[tick + 3], _ = state_ahead(p, memory, tick, own, PLAIN)
+        queue.append(navigate_control(p, memory, np.array(GOAL), tick, own, PLAIN))
+        assert foreseen.get(tick, own) == own
+        own = _step(p, own, queue.pop(0))
+    assert own.v_x > 0.5

@@ -90,7 +90,7 @@ class _Search:
         )
 
 
-def test_the_point_is_held_until_it_is_covered() -> None:
+def test_the_point_is_kept_until_it_is_covered() -> None:
     search = _Search()
     search.uncover(25.125, 20.125)
     assert search.next_direction() == (True, 5.125, 0.125)
@@ -102,7 +102,7 @@ def test_the_point_is_held_until_it_is_covered() -> None:
     assert search.next_direction() == (True, -1.875, 0.125)
 
 
-def test_nearest_point_is_held_within_the_density_support() -> None:
+def test_nearest_point_is_kept_within_the_density_support() -> None:
     search = _Search()
     search.uncover(20.125 + R_O, 20.125)  # outside
     assert search.next_direction() == (False, 0.0, 0.0)

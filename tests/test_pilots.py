@@ -72,8 +72,8 @@ def test_the_ugv_drives_straight_to_its_goal_and_stands_there(start, goal, v_max
     count = min(math.ceil(needed) + 400, 20000)
     bounds = {"v_max": v_max, "u_max": u_max, "dt": dt}
     rows = _drive(_driver((goal,), **bounds), start, count, **bounds)
-    way, aside = _along(rows, start, goal)
-    assert way.min() > -1e-9  # it never overshoots
+    along, aside = _along(rows, start, goal)
+    assert along.min() > -1e-9  # it never overshoots
     assert aside.max() < 1e-9
     if count < 20000:
         assert rows[-1, :2] == pytest.approx(goal, abs=1e-3)
@@ -98,8 +98,8 @@ def test_a_goal_stays_until_it_is_nearer_than_the_tolerance(goals, tolerance):
 @settings(PROPERTY, max_examples=20)
 def test_the_papers_ugv_keeps_to_the_lines_between_its_goals(goals: list[Point]) -> None:
     rows = _drive(_driver(tuple(goals)), (10.0, 10.0), 4000)
-    ways = pairwise([(10.0, 10.0), *goals])
-    lines = [_along(rows, *ends)[1] for ends in ways if math.dist(*ends) > 0.1]
+    legs = pairwise([(10.0, 10.0), *goals])
+    lines = [_along(rows, *ends)[1] for ends in legs if math.dist(*ends) > 0.1]
     corners = [np.hypot(*(rows[:, :2] - goal).T) for goal in goals]
     assert np.min([*lines, *corners], axis=0).max() < 0.1
 

@@ -360,12 +360,12 @@ def test_a_file_cut_anywhere_gives_a_prefix_or_one_line(tmp_path: Path) -> None:
     while starts[-1] + 9 <= len(data):
         (length,) = struct.unpack_from("<Q", data, starts[-1] + 1)
         starts.append(starts[-1] + 9 + length)
-    places = {0, 1, 7, 8, 9, len(data) - 1, len(data) - 8, len(data) - 9}
-    places |= {at + offset for at in starts for offset in (0, 4, 9, 12) if at + offset < len(data)}
-    places |= set(range(0, len(data), max(1, len(data) // 30)))
+    offsets = {0, 1, 7, 8, 9, len(data) - 1, len(data) - 8, len(data) - 9}
+    offsets |= {at + offset for at in starts for offset in (0, 4, 9, 12) if at + offset < len(data)}
+    offsets |= set(range(0, len(data), max(1, len(data) // 30)))
     lengths = set()
-    for place in sorted(places):
-        cut.write_bytes(data[:place])
+    for offset in sorted(offsets):
+        cut.write_bytes(data[:offset])
         recording = _read_or_one_line(cut)
         length = len(recording.truths) if recording else 0
         if recording is not None and length not in lengths:
@@ -389,10 +389,10 @@ def test_damaged_bytes_end_the_reading_without_false_data(tmp_path: Path) -> Non
     path, hurt = tmp_path / "run.mcap", tmp_path / "hurt.mcap"
     recorded(path, SHORT, SEED)
     data, whole = bytearray(path.read_bytes()), flight_of(path).truths
-    for place in range(8, len(data), max(1, len(data) // 150)):
-        data[place] ^= 0xFF
+    for offset in range(8, len(data), max(1, len(data) // 150)):
+        data[offset] ^= 0xFF
         hurt.write_bytes(data)
-        data[place] ^= 0xFF
+        data[offset] ^= 0xFF
         recording = _read_or_one_line(hurt)
         assert recording is None or recording.truths == whole[: len(recording.truths)]
 

@@ -75,9 +75,11 @@ def test_uav_reports_a_tile_once_after_seeing_its_center() -> None:
         if tick % every:
             assert not reported_now
             continue
-        (p_x, p_y), reach = world.position[0].tolist(), scenario.sensor.range
+        (p_x, p_y), sensing_range = world.position[0].tolist(), scenario.sensor.range
         rho2 = (x - p_x) ** 2 + (y - p_y) ** 2
-        quality = np.where(rho2 <= reach**2, (rho2 - reach**2) ** 2 / reach**4, 0.0)  # (2)
+        quality = np.where(
+            rho2 <= sensing_range**2, (rho2 - sensing_range**2) ** 2 / sensing_range**4, 0.0
+        )  # (2)
         seen_for += scenario.sensor.peak * quality * every * dt
         sure = np.abs(seen_for - scenario.coverage.desired) > 1e-4  # single precision
         expected = set(map(tuple, np.argwhere(seen_for >= scenario.coverage.desired).tolist()))
@@ -285,19 +287,19 @@ def test_mission_reports_the_warning_time_of_each_hazard() -> None:
 def test_distance_seen_ahead_is_on_tiles_known_by_then() -> None:
     world = World(scenario_with(FLAG, at=(7.2, 5.7)), 1)
     block, known = MapUpdate(column=2, row=1, tiles="." * 64), False
-    side, way, seen = BLOCK_SIDE * world.scenario.ground.tile, 0.0, 0.0
+    side, driven, seen = BLOCK_SIDE * world.scenario.ground.tile, 0.0, 0.0
     for _ in range(401):
         before = world.position[1].tolist()
         if not known and [p // side for p in before] == [block.column, block.row]:
             world.receive_block(1, block)  # the block around the UGV
             known = True
         drive(world, 1)
-        here = world.position[1].tolist()
-        way += math.dist(before, here)
-        if known and [p // side for p in here] == [block.column, block.row]:
-            seen += math.dist(before, here)
-    assert 0.1 * way < seen < 0.9 * way
-    assert world.mission.reported_share == pytest.approx(seen / way, rel=1e-9)
+        after = world.position[1].tolist()
+        driven += math.dist(before, after)
+        if known and [p // side for p in after] == [block.column, block.row]:
+            seen += math.dist(before, after)
+    assert 0.1 * driven < seen < 0.9 * driven
+    assert world.mission.reported_share == pytest.approx(seen / driven, rel=1e-9)
 
 
 def test_hazard_clearance_is_the_smallest_distance() -> None:

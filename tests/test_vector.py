@@ -157,17 +157,17 @@ def test_the_filters_are_those_of_the_pilots(scenario: Scenario) -> None:
     for tick in range(360):
         assert equal(seen[0], last["uav_0"])
         world = single.world
-        place, velocity = (
+        position, velocity = (
             tuple(one[0].tolist()) for one in (world.reference_position, world.reference_velocity)
         )
-        own = {"position": place, "velocity": velocity, "detections": world.received(0)}
+        own = {"position": position, "velocity": velocity, "detections": world.received(0)}
         received = UavObservation(tick=tick, time=world.time, **own)
         keeper.see(received)
         decision = keeper.filter(received, tuple(outward))
         detections = detection_rows(received.detections, briefed.dt)
-        estimate = estimator.update(tick=tick, own_position=place, detections=detections)
+        estimate = estimator.update(tick=tick, own_position=position, detections=detections)
         if estimate is not None:
-            row = [1.0, *np.subtract(place, estimate.position), estimate.age]
+            row = [1.0, *np.subtract(position, estimate.position), estimate.age]
             assert np.allclose(seen[0][5:], row, rtol=1e-9, atol=1e-9)
         seen, _, terminated, _, infos = many.step(outward[None])
         last, _, _, _, info = single.step({"uav_0": outward, "ugv_0": driver(last["ugv_0"])})

@@ -157,7 +157,7 @@ def test_second_session_is_counted_and_ignored(tmp_path):
     assert [seen.tick for seen in first.seen] == list(range(400))
 
 
-def test_second_session_takes_a_free_slot(tmp_path: Path) -> None:
+def test_second_session_takes_a_free_number(tmp_path: Path) -> None:
     with stage(tmp_path, 300, respawn=True) as run:
         run.start("ugv_0")
         run.start("uav_0", until=150)

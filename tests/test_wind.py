@@ -64,8 +64,8 @@ def test_the_worst_wind_comes_to_the_bound_and_no_other_beyond(gains, wind, own,
     kick[0, 0] = 1.0
     answer = errors(loop, kick, silent, dt)[:, 0]
     push = np.where(answer[::-1] >= 0.0, 1.0, -1.0)  # the last one is answered first
-    way = np.array([0.6, 0.8])
-    worst = errors(loop, wind * push[:, None] * way, -own * push[:, None] * way, dt)
+    direction = np.array([0.6, 0.8])
+    worst = errors(loop, wind * push[:, None] * direction, -own * push[:, None] * direction, dt)
     reached = math.hypot(*worst[-1, :2])
     most = needed_reserve(loop, wind, own, dt)
     between = 0.125 * (most + wind) * dt * dt

@@ -140,12 +140,12 @@ def test_two_pairs_fly_each_uav_with_the_ugv_it_escorts() -> None:
 def test_vehicles_brake_when_their_commands_stop() -> None:
     """The last command stays in effect for `command_timeout`; then both vehicles come to rest."""
     scenario = load_scenario("escort", overrides=["links.commands.delay=0"])
-    world, held = World(scenario, 1), round(scenario.command_timeout / scenario.dt)
+    world, ticks = World(scenario, 1), round(scenario.command_timeout / scenario.dt)
     for _ in range(20):
         for vehicle in range(2):
             world.send(vehicle, world.tick, (0.05, 0.0))
         world.advance()
-    for _ in range(held):
+    for _ in range(ticks):
         world.advance()
         assert (world.commands[:, 0] == 0.05).all()
     for _ in range(100):

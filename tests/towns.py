@@ -47,8 +47,8 @@ def as_reported(tiles: np.ndarray, clearance: float) -> np.ndarray:
 
     By dilation, unlike the code of the UGV.
     """
-    reach = math.floor(clearance) + 1 if clearance > 0.0 else 0
-    away = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 1, 0)
+    margin = math.floor(clearance) + 1 if clearance > 0.0 else 0
+    away = np.maximum(np.abs(np.arange(-margin, margin + 1)) - 1, 0)
     near = np.hypot(away[:, None], away[None, :]) <= clearance
     found = tiles.copy()
     for state in (UNSEEN, BLOCK):

@@ -5,6 +5,7 @@ altitude from which the sensor gains most on the ground around the UAV.
 """
 
 import math
+from typing import NamedTuple
 
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.lanes import LANES
@@ -36,9 +37,9 @@ def climb_to(
         max_rate, max_acceleration: Vertical bounds [m/s], [m/s²].
         dt: Duration of a tick [s].
     """
-    way = goal - z
-    speed = min(max_rate, speed_to_stop_within(abs(way), max_acceleration, dt), abs(way) / dt)
-    return clip((math.copysign(speed, way) - rate) / dt, max_acceleration)
+    climb = goal - z
+    speed = min(max_rate, speed_to_stop_within(abs(climb), max_acceleration, dt), abs(climb) / dt)
+    return clip((math.copysign(speed, climb) - rate) / dt, max_acceleration)
 
 
 @compiled
@@ -84,12 +85,23 @@ def expected_gain(
     return total * cell * cell
 
 
+class MapWeights(NamedTuple):
+    """Weights of the cells of a map, and their size."""
+
+    r_o: float
+    """Radius of the density [m]."""
+    desired: float
+    """Desired coverage C*."""
+    cell: float
+    """Width of a cell [m]."""
+
+
 @compiled
 def best_altitude(
     coverage: FloatArray,
     own: tuple[float, float],
     target: tuple[float, float],
-    area: tuple[float, float, float],
+    weights: MapWeights,
     sensor: SensorParameters,
     camera: CameraParameters,
     bounds: tuple[float, float],
@@ -99,7 +111,7 @@ def best_altitude(
 
     Args:
         coverage, own, target: As in `expected_gain`.
-        area: r_o [m], C* and the width of a cell [m].
+        weights: Weights of the map's cells.
         sensor: The sensor at the reference altitude.
         camera: The camera.
         bounds: Lowest and highest altitude to compare [m].
@@ -111,10 +123,14 @@ def best_altitude(
         z = lowest + (highest - lowest) * k / (CANDIDATES - 1)
         seeing = sensor_at(sensor, camera, z)
         if occlusion is None:
-            gain = expected_gain(coverage, own, target, area[0], area[1], seeing, area[2])
+            gain = expected_gain(
+                coverage, own, target, weights.r_o, weights.desired, seeing, weights.cell
+            )
         else:
             seen = Occlusion(occlusion.buildings, occlusion.corners, occlusion.known, z)
-            gain = expected_gain(coverage, own, target, area[0], area[1], seeing, area[2], seen)
+            gain = expected_gain(
+                coverage, own, target, weights.r_o, weights.desired, seeing, weights.cell, seen
+            )
         if gain > most * (1.0 + 1e-9):
             found, most = z, gain
     return found

@@ -125,7 +125,7 @@ def _outward(p: float, size: float, margin: float) -> float:
 def keep_off_border(
     u_x: float,
     u_y: float,
-    here: State,
+    own: State,
     k_v: float,
     width: float,
     height: float,
@@ -139,13 +139,13 @@ def keep_off_border(
 
     Args:
         u_x, u_y: u_a,cov of (11) [m/s²].
-        here: State of the UAV.
+        own: State of the UAV.
         k_v: Gain of (11) [1/s]; u + k_v v is k_v times the desired velocity, whose outward part is dropped.
         width, height: Size of Q [m].
         margin: `border_distance` [m].
         dt: Length of a tick [s].
     """
-    p_ax, p_ay, v_ax, v_ay = here
+    p_ax, p_ay, v_ax, v_ay = own
     out_x, out_y = _outward(p_ax, width, margin), _outward(p_ay, height, margin)
     fast_x, fast_y = out_x * v_ax > 0.0, out_y * v_ay > 0.0
     if fast_x or fast_y:

@@ -108,8 +108,8 @@ def check_path(
     for index in range(_SAMPLES + 1):
         t = step + index * (duration - 2.0 * step) / _SAMPLES
         try:
-            (before, _), (here, acceleration), (after, _) = map(path, (t - step, t, t + step))
-            pairs = before, here, after, acceleration
+            (before, _), (now, acceleration), (after, _) = map(path, (t - step, t, t + step))
+            pairs = before, now, after, acceleration
             values = [float(value) for pair in pairs for value in pair]
         except (TypeError, ValueError, ArithmeticError) as error:
             raise ScenarioError(

@@ -158,7 +158,7 @@ def is_safe(
     late: bool,
     tiles: TileArray,
     ground: Open,
-    here: State,
+    own: State,
     u_x: float,
     u_y: float,
 ) -> bool:
@@ -169,7 +169,7 @@ def is_safe(
         late: True if commands are delayed: the prediction must then also hold on rough ground.
         tiles: Occupancy grid of the UGV. Shape (rows, columns).
         ground: Kinds of tiles that are open.
-        here: State of the UGV when the command takes effect.
+        own: State of the UGV when the command takes effect.
         u_x, u_y: Command [m/s²].
     """
     tile, v_max, u_max, dt = (
@@ -178,9 +178,9 @@ def is_safe(
         parameters.max_acceleration,
         parameters.dt,
     )
-    a = here.p_x, here.p_y
-    x, y, w_x, w_y, _, _ = step_vehicle(a[0], a[1], here.v_x, here.v_y, u_x, u_y, v_max, u_max, dt)
-    turn = a[0] + 0.5 * here.v_x * dt, a[1] + 0.5 * here.v_y * dt
+    a = own.p_x, own.p_y
+    x, y, w_x, w_y, _, _ = step_vehicle(a[0], a[1], own.v_x, own.v_y, u_x, u_y, v_max, u_max, dt)
+    turn = a[0] + 0.5 * own.v_x * dt, a[1] + 0.5 * own.v_y * dt
     speed = norm(w_x, w_y)
     e_x, e_y = (w_x / speed, w_y / speed) if speed > 0.0 else (0.0, 0.0)
     distance = braking_distance(speed, u_max, dt)
@@ -275,8 +275,8 @@ def nearest_open(
     """
     rows, columns = memory.tiles.shape
     i, j = tile_index(y, tile, rows), tile_index(x, tile, columns)
-    here = _touched(memory, tile, x, y)
-    on_map = _is_mapped(memory, here)
+    touched = _touched(memory, tile, x, y)
+    on_map = _is_mapped(memory, touched)
     ground, row, column, least = open_to(bold), i, j, math.inf
     for ring in range(1, min(max(rows, columns), _EXIT_RINGS + 1)):
         for r in range(max(i - ring, 0), min(i + ring + 1, rows)):
@@ -284,7 +284,7 @@ def nearest_open(
                 if max(abs(r - i), abs(c - j)) != ring or not _is_open(memory.tiles, ground, r, c):
                     continue
                 away = norm((c + 0.5) * tile - x, (r + 0.5) * tile - y)
-                if away < least and (on_map or not _is_mapped(memory, _extended(here, r, c))):
+                if away < least and (on_map or not _is_mapped(memory, _extended(touched, r, c))):
                     row, column, least = r, c, away
         if least < math.inf:
             break
@@ -298,15 +298,15 @@ def open_from(memory: OccupancyGrid, tile: float, bold: int, x: float, y: float)
     The UGV stands on blocked tiles only if a report was wrong, if it is bold, or if it started or was driven there.
     Arguments as in `nearest_open`.
     """
-    here = _touched(memory, tile, x, y)
+    touched = _touched(memory, tile, x, y)
     blocked = False
-    for i in range(here.row, here.end_row):
-        for j in range(here.column, here.end_column):
+    for i in range(touched.row, touched.end_row):
+        for j in range(touched.column, touched.end_column):
             blocked = blocked or memory.tiles[i, j] == BLOCK
     if not blocked:
         return open_to(bold)
     rows, columns = memory.tiles.shape
     if memory.tiles[tile_index(y, tile, rows), tile_index(x, tile, columns)] == BLOCK:
         i, j = nearest_open(memory, tile, bold, x, y)
-        here = _extended(here, i, j)
-    return Open(bold, 1, 1, here.row, here.column, here.end_row, here.end_column, TOUCH)
+        touched = _extended(touched, i, j)
+    return Open(bold, 1, 1, touched.row, touched.column, touched.end_row, touched.end_column, TOUCH)

@@ -14,8 +14,8 @@ from agents.drivers.pending_stops import PLAIN
 from agents.drivers.planning import path_corners
 from agents.drivers.tile_map import (
     EXTRA_ROWS,
+    IndexArray,
     OccupancyGrid,
-    PlaceArray,
     forget_plan,
     forget_sent,
     occupancy_grid,
@@ -100,11 +100,11 @@ def update_grid(memory: OccupancyGrid, observation: UgvObservation) -> None:
     for block in observation.map_updates:
         record_block(memory, block.row, block.column, tile_states(block.tiles))
     if observation.tile_reports:
-        places = np.array(
+        positions = np.array(
             [(one.row, one.column) for one in observation.tile_reports], dtype=np.int64
         )
         states = tile_states("".join(one.state for one in observation.tile_reports))
-        rows, columns = np.ascontiguousarray(places.T)
+        rows, columns = np.ascontiguousarray(positions.T)
         record_tiles(memory, rows, columns, states)
 
 
@@ -174,7 +174,7 @@ class NavigateDriver(CompiledDriver):
         super().__init__(briefing, name, grid=grid)
         self._plans = 0
         self._reported: tuple[Vector, ...] = ()
-        self._corners: PlaceArray = np.zeros(MOST_CORNERS, dtype=np.int32)
+        self._corners: IndexArray = np.zeros(MOST_CORNERS, dtype=np.int32)
 
     def backup_trajectories(self, tick: int) -> tuple[BackupTrajectory, ...]:
         """Return the backup trajectories of this tick's command: its own, and earlier ones that may still begin."""
@@ -217,11 +217,11 @@ class NavigateDriver(CompiledDriver):
         self._plans = int(flags["plans"])
         (rows, columns), route = memory.tiles.shape, self._route
         goal_x, goal_y = route.goals[flags["goal"]].tolist()
-        own, goal = (
+        start, goal = (
             tile_index(y, tile, rows) * columns + tile_index(x, tile, columns)
             for x, y in (position, (goal_x, goal_y))
         )
-        count = path_corners(memory.path, columns, own, self._corners)
+        count = path_corners(memory.path, columns, start, self._corners)
         turns = self._corners[:count].tolist()
         ahead = [((n % columns + 0.5) * tile, (n // columns + 0.5) * tile) for n in turns[1:]]
         if turns and turns[-1] == goal:

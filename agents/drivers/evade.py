@@ -102,7 +102,7 @@ def receive_radio(
     radio: FloatArray,
     received: int,
     tick: int,
-    here: State,
+    own: State,
 ) -> None:
     """Update the UAV's position and smoothed velocity from the messages of this tick.
 
@@ -115,8 +115,8 @@ def receive_radio(
         at = min(max(radio[row, 0], tick - driver.memory_ticks), tick)
         age = tick * ugv.dt - at * ugv.dt
         gap = at * ugv.dt - m.sent * ugv.dt
-        x = here.p_x - age * here.v_x + radio[row, 1]  # the UGV has moved since
-        y = here.p_y - age * here.v_y + radio[row, 2]
+        x = own.p_x - age * own.v_x + radio[row, 1]  # the UGV has moved since
+        y = own.p_y - age * own.v_y + radio[row, 2]
         if not is_known(driver, memory, tick):
             m.uav_velocity[0], m.uav_velocity[1] = 0.0, 0.0
         elif at > m.sent:  # two messages of the same tick give no velocity
@@ -138,13 +138,13 @@ def slot_draw(
 
 @compiled
 def away(
-    ugv: UgvParameters, driver: Parameters, memory: Memory, tick: int, here: State
+    ugv: UgvParameters, driver: Parameters, memory: Memory, tick: int, own: State
 ) -> tuple[float, float]:
     """Return the unit vector away from the UAV's predicted position after the lead."""
     m: Any = memory
     gap = tick * ugv.dt + driver.lead - m.sent * ugv.dt
-    x = here.p_x - (m.uav[0] + gap * m.uav_velocity[0])
-    y = here.p_y - (m.uav[1] + gap * m.uav_velocity[1])
+    x = own.p_x - (m.uav[0] + gap * m.uav_velocity[0])
+    y = own.p_y - (m.uav[1] + gap * m.uav_velocity[1])
     length = norm(x, y)
     if length > 0.0:
         return x / length, y / length
@@ -202,19 +202,19 @@ def leave_wall(
 
 
 @compiled
-def off_walls(ugv: UgvParameters, w_x: float, w_y: float, here: State) -> tuple[float, float]:
+def off_walls(ugv: UgvParameters, w_x: float, w_y: float, own: State) -> tuple[float, float]:
     """Return the desired velocity [m/s], or one that first brakes towards a wall that would otherwise be hit.
 
     Args:
         ugv: Constants of the UGV.
         w_x, w_y: Desired velocity [m/s].
-        here: State of the UGV.
+        own: State of the UGV.
     """
-    v_x, v_y = here.v_x, here.v_y
+    v_x, v_y = own.v_x, own.v_y
     # stopping distance over speed [s]
     halting = 0.5 * norm(v_x, v_y) / ugv.max_acceleration + 2.0 * ugv.dt
-    stop_x = abs(v_x) * halting > (ugv.width - here.p_x if v_x > 0.0 else here.p_x)
-    stop_y = abs(v_y) * halting > (ugv.height - here.p_y if v_y > 0.0 else here.p_y)
+    stop_x = abs(v_x) * halting > (ugv.width - own.p_x if v_x > 0.0 else own.p_x)
+    stop_y = abs(v_y) * halting > (ugv.height - own.p_y if v_y > 0.0 else own.p_y)
     if stop_x or stop_y:
         return (0.0 if stop_x else v_x), (0.0 if stop_y else v_y)
     return w_x, w_y
@@ -228,7 +228,7 @@ def flee(
     x: float,
     y: float,
     tick: int,
-    here: State,
+    own: State,
 ) -> tuple[float, float]:
     """Return the acceleration [m/s²] to full speed in the direction (x, y), along walls and out of corners.
 
@@ -237,18 +237,16 @@ def flee(
     m: Any = memory
     if tick < m.exit_end:
         x, y = m.exit[0], m.exit[1]
-    out_x = border_side(here.p_x, ugv.width, driver.margin)
-    out_y = border_side(here.p_y, ugv.height, driver.margin)
+    out_x = border_side(own.p_x, ugv.width, driver.margin)
+    out_y = border_side(own.p_y, ugv.height, driver.margin)
     x, y = (0.0 if out_x * x > 0.0 else x), (0.0 if out_y * y > 0.0 else y)
     length = norm(x, y)
     if length > 0.0:
         x, y = x / length, y / length
     else:
         x, y = leave_wall(ugv, driver, memory, out_x, out_y, tick)
-    w_x, w_y = off_walls(ugv, x * driver.speed, y * driver.speed, here)
-    return velocity_control(
-        here.v_x, here.v_y, w_x, w_y, ugv.max_speed, ugv.max_acceleration, ugv.dt
-    )
+    w_x, w_y = off_walls(ugv, x * driver.speed, y * driver.speed, own)
+    return velocity_control(own.v_x, own.v_y, w_x, w_y, ugv.max_speed, ugv.max_acceleration, ugv.dt)
 
 
 @compiled

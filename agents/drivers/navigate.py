@@ -114,7 +114,7 @@ def look_ahead(
     if n == goal:
         return goal_x, goal_y
     best_x, best_y = _centre(n, columns, parameters.tile)
-    reach = (
+    farthest = (
         stopping_distance(parameters.max_speed, parameters.max_acceleration)
         + parameters.max_speed * parameters.dt
         + 4.0 * parameters.tile
@@ -133,7 +133,7 @@ def look_ahead(
         if not _segment_costs_at_most(parameters, memory, (x, y), (to_x, to_y), limit):
             break
         best_x, best_y = to_x, to_y
-        if n == goal or norm(to_x - x, to_y - y) > reach:
+        if n == goal or norm(to_x - x, to_y - y) > farthest:
             break
     return best_x, best_y
 
@@ -146,19 +146,19 @@ def _slow(parameters: NavigateParameters) -> float:
 
 @compiled
 def _rough_speed(
-    parameters: NavigateParameters, memory: OccupancyGrid, here: State, to_x: float, to_y: float
+    parameters: NavigateParameters, memory: OccupancyGrid, own: State, to_x: float, to_y: float
 ) -> float:
     """Return the largest speed [m/s] that still allows the UGV to slow down before the first rough ground ahead."""
     slow = _slow(parameters)
     even = Open(1, 0, 1, 0, 0, 0, 0, TOUCH)
-    a, b = (here.p_x, here.p_y), (to_x, to_y)
+    a, b = (own.p_x, own.p_y), (to_x, to_y)
     share = open_share(memory.tiles, parameters.tile, even, a, b)
     if share == 1.0:
         return parameters.max_speed
     path = share * norm(b[0] - a[0], b[1] - a[1])
     room = (
         path
-        - 0.5 * parameters.dt * norm(here.v_x, here.v_y)
+        - 0.5 * parameters.dt * norm(own.v_x, own.v_y)
         + stopping_distance(slow, parameters.max_acceleration)
     )
     return min(
@@ -171,7 +171,7 @@ def _rough_speed(
 def drive_towards(
     parameters: NavigateParameters,
     memory: OccupancyGrid,
-    here: State,
+    own: State,
     to_x: float,
     to_y: float,
 ) -> tuple[float, float]:
@@ -180,33 +180,33 @@ def drive_towards(
     Args:
         parameters: Parameters of the driver.
         memory: Occupancy grid of the UGV.
-        here: State of the UGV when the command takes effect.
+        own: State of the UGV when the command takes effect.
         to_x, to_y: Point [m].
     """
     late = memory.sent.shape[0] > 2
-    ground = open_from(memory, parameters.tile, parameters.bold, here.p_x, here.p_y)
-    speed = _rough_speed(parameters, memory, here, to_x, to_y)
-    d_x, d_y = to_x - here.p_x, to_y - here.p_y
-    u_x, u_y = goal_control(here, to_x, to_y, speed, parameters.max_acceleration, parameters.dt)
-    if is_safe(parameters, late, memory.tiles, ground, here, u_x, u_y):
+    ground = open_from(memory, parameters.tile, parameters.bold, own.p_x, own.p_y)
+    speed = _rough_speed(parameters, memory, own, to_x, to_y)
+    d_x, d_y = to_x - own.p_x, to_y - own.p_y
+    u_x, u_y = goal_control(own, to_x, to_y, speed, parameters.max_acceleration, parameters.dt)
+    if is_safe(parameters, late, memory.tiles, ground, own, u_x, u_y):
         return u_x, u_y
-    a = here.p_x, here.p_y
+    a = own.p_x, own.p_y
     free = open_share(memory.tiles, parameters.tile, ground, a, (to_x, to_y))
     if free > 0.0:
         for limit in (speed, min(speed, _slow(parameters))):
             for share in _SHARES:
-                on_x, on_y = here.p_x + share * free * d_x, here.p_y + share * free * d_y
+                on_x, on_y = own.p_x + share * free * d_x, own.p_y + share * free * d_y
                 u_x, u_y = goal_control(
-                    here, on_x, on_y, limit, parameters.max_acceleration, parameters.dt
+                    own, on_x, on_y, limit, parameters.max_acceleration, parameters.dt
                 )
-                if is_safe(parameters, late, memory.tiles, ground, here, u_x, u_y):
+                if is_safe(parameters, late, memory.tiles, ground, own, u_x, u_y):
                     return u_x, u_y
-    return brake(here.v_x, here.v_y, parameters.max_acceleration, parameters.dt)
+    return brake(own.v_x, own.v_y, parameters.max_acceleration, parameters.dt)
 
 
 @compiled
 def _plan_if_due(
-    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, target: int, own: int
+    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, target: int, tile: int
 ) -> None:
     """Start a search if one is due, continue it for a tick, and adopt its plan when it ends.
 
@@ -216,7 +216,7 @@ def _plan_if_due(
     if flags.searching == 0 or flags.aim != target:
         due = flags.planned < 0 or tick - flags.planned >= parameters.plan_ticks
         kept = flags.target == target and (flags.stale == 0 or not due)
-        if flags.searching == 0 and kept and is_settled(memory, own):
+        if flags.searching == 0 and kept and is_settled(memory, tile):
             return
         if flags.stale == 0 and flags.aim == target:
             flags.searching = 1  # the tiles have not changed: resume the last search
@@ -224,7 +224,7 @@ def _plan_if_due(
             start_search(memory, target)
         flags.planned, flags.stale = tick, 0
     if continue_search(
-        _rough_price(parameters), parameters.tile, memory, own, parameters.plan_tiles
+        _rough_price(parameters), parameters.tile, memory, tile, parameters.plan_tiles
     ):
         adopt_plan(memory)
 
@@ -235,7 +235,7 @@ def navigate_control(
     memory: OccupancyGrid,
     goals: FloatArray,
     tick: int,
-    here: State,
+    own: State,
     committed: int,
 ) -> tuple[float, float]:
     """Return the command [m/s²] to one goal after the other over the known ground; stop at the last one.
@@ -248,30 +248,30 @@ def navigate_control(
         memory: Occupancy grid with all reports so far; changed in place.
         goals: Goals [m]. Shape (goals, 2).
         tick: Current tick.
-        here: State of the UGV.
+        own: State of the UGV.
         committed: As in `state_ahead`.
     """
-    flags, count, now = memory.flags[0], goals.shape[0], here
-    here, parent = state_ahead(parameters, memory, tick, here, committed)
-    u_x, u_y = brake(here.v_x, here.v_y, parameters.max_acceleration, parameters.dt)
+    flags, count = memory.flags[0], goals.shape[0]
+    ahead, parent = state_ahead(parameters, memory, tick, own, committed)
+    u_x, u_y = brake(ahead.v_x, ahead.v_y, parameters.max_acceleration, parameters.dt)
     if count > 0 and memory.tiles.size > 0:
-        reached, _ = next_goal(goals, flags.goal, parameters.goal_tolerance, now.p_x, now.p_y)
+        reached, _ = next_goal(goals, flags.goal, parameters.goal_tolerance, own.p_x, own.p_y)
         flags.goal = min(reached, count - 1)
         goal_x, goal_y = goals[flags.goal, 0], goals[flags.goal, 1]
-        own = _tile_of(parameters, memory, here.p_x, here.p_y)
+        tile = _tile_of(parameters, memory, ahead.p_x, ahead.p_y)
         columns = memory.tiles.shape[1]
-        if memory.tiles[own // columns, own % columns] == BLOCK:
-            i, j = nearest_open(memory, parameters.tile, parameters.bold, here.p_x, here.p_y)
+        if memory.tiles[tile // columns, tile % columns] == BLOCK:
+            i, j = nearest_open(memory, parameters.tile, parameters.bold, ahead.p_x, ahead.p_y)
             to_x, to_y = _centre(i * columns + j, columns, parameters.tile)
-            u_x, u_y = drive_towards(parameters, memory, here, to_x, to_y)
+            u_x, u_y = drive_towards(parameters, memory, ahead, to_x, to_y)
         else:
             target = _tile_of(parameters, memory, goal_x, goal_y)
-            _plan_if_due(parameters, memory, tick, target, own)
-            if has_path(memory.path, own):
-                to_x, to_y = look_ahead(parameters, memory, here.p_x, here.p_y, goal_x, goal_y)
-                u_x, u_y = drive_towards(parameters, memory, here, to_x, to_y)
+            _plan_if_due(parameters, memory, tick, target, tile)
+            if has_path(memory.path, tile):
+                to_x, to_y = look_ahead(parameters, memory, ahead.p_x, ahead.p_y, goal_x, goal_y)
+                u_x, u_y = drive_towards(parameters, memory, ahead, to_x, to_y)
     store_command(memory, tick, parent, u_x, u_y)
-    update_claim(parameters, memory, here, u_x, u_y)
+    update_claim(parameters, memory, ahead, u_x, u_y)
     return u_x, u_y
 
 

@@ -22,13 +22,13 @@ _AS_PREDICTED = 1e-9
 
 
 @compiled
-def _step(parameters: NavigateParameters, here: State, u_x: float, u_y: float) -> State:
+def _step(parameters: NavigateParameters, state: State, u_x: float, u_y: float) -> State:
     """Return the state after a tick with a command [m/s²]."""
     p_x, p_y, v_x, v_y, _, _ = step_vehicle(
-        here.p_x,
-        here.p_y,
-        here.v_x,
-        here.v_y,
+        state.p_x,
+        state.p_y,
+        state.v_x,
+        state.v_y,
         u_x,
         u_y,
         parameters.max_speed,
@@ -40,7 +40,7 @@ def _step(parameters: NavigateParameters, here: State, u_x: float, u_y: float) -
 
 @compiled
 def _is_as_predicted(
-    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, here: State, committed: int
+    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, own: State, committed: int
 ) -> bool:
     """Return whether the UGV has moved in the previous tick as the reported trajectory implies.
 
@@ -58,17 +58,17 @@ def _is_as_predicted(
     square = due.v_x * due.v_x + due.v_y * due.v_y
     share = 1.0
     if square > 0.0:
-        share = min(max((due.v_x * here.v_x + due.v_y * here.v_y) / square, 0.0), 1.0)
+        share = min(max((due.v_x * own.v_x + due.v_y * own.v_y) / square, 0.0), 1.0)
     v_x, v_y = share * due.v_x, share * due.v_y
     p_x = before.p_x + 0.5 * (before.v_x + v_x) * parameters.dt
     p_y = before.p_y + 0.5 * (before.v_y + v_y) * parameters.dt
-    off = max(norm(here.p_x - p_x, here.p_y - p_y), norm(here.v_x - v_x, here.v_y - v_y))
+    off = max(norm(own.p_x - p_x, own.p_y - p_y), norm(own.v_x - v_x, own.v_y - v_y))
     return bool(off <= _AS_PREDICTED)
 
 
 @compiled
 def _check_control(
-    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, here: State, committed: int
+    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, own: State, committed: int
 ) -> tuple[bool, bool]:
     """Check that the UGV executes the commands of this driver only. Arguments as in `state_ahead`.
 
@@ -84,20 +84,20 @@ def _check_control(
     elif flags.answered != tick - 1:
         flags.since = first
     else:
-        predicted = _is_as_predicted(parameters, memory, tick, here, committed)
+        predicted = _is_as_predicted(parameters, memory, tick, own, committed)
     if committed >= 0:
         flags.since = max(flags.since, 0)
-    own = committed >= flags.since
-    if own and not predicted:
+    exclusive = committed >= flags.since
+    if exclusive and not predicted:
         flags.since = first
     flags.answered = tick
-    flags.p_x, flags.p_y, flags.v_x, flags.v_y = here.p_x, here.p_y, here.v_x, here.v_y
-    return own, predicted
+    flags.p_x, flags.p_y, flags.v_x, flags.v_y = own.p_x, own.p_y, own.v_x, own.v_y
+    return exclusive, predicted
 
 
 @compiled
 def state_ahead(
-    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, here: State, committed: int
+    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, own: State, committed: int
 ) -> tuple[State, int]:
     """Predict the UGV's state when this tick's command takes effect, and the trajectory committed then.
 
@@ -108,7 +108,7 @@ def state_ahead(
         parameters: Parameters of the driver.
         memory: Occupancy grid with the commands sent so far.
         tick: Current tick.
-        here: Current state of the UGV.
+        own: Current state of the UGV.
         committed: First tick of the trajectory executed in the previous tick; NO_TRAJECTORY: none; PLAIN: the receiver
             executes none, and all commands take effect.
 
@@ -118,9 +118,9 @@ def state_ahead(
     sent, ahead, rows = memory.sent, memory.committed, memory.sent.shape[0]
     plain = committed == PLAIN
     known, late = known_open(), rows > 2
-    stop_x, stop_y = brake(here.v_x, here.v_y, parameters.max_acceleration, parameters.dt)
-    own, safe = _check_control(parameters, memory, tick, here, committed)
-    safe = safe and is_safe(parameters, late, memory.tiles, known, here, stop_x, stop_y)
+    stop_x, stop_y = brake(own.v_x, own.v_y, parameters.max_acceleration, parameters.dt)
+    exclusive, safe = _check_control(parameters, memory, tick, own, committed)
+    safe = safe and is_safe(parameters, late, memory.tiles, known, own, stop_x, stop_y)
     row = committed % rows
     if committed >= 0 and sent[row].begins == committed:
         ahead[0] = sent[row]
@@ -137,17 +137,17 @@ def state_ahead(
         else:
             follow_on(sent, ahead, tick + k)
             u_x, u_y = trajectory_command(
-                ahead[0], here.v_x, here.v_y, parameters.max_acceleration, parameters.dt
+                ahead[0], own.v_x, own.v_y, parameters.max_acceleration, parameters.dt
             )
             ahead[0].age += 1
-        safe = safe and is_safe(parameters, late, memory.tiles, known, here, u_x, u_y)
-        here = _step(parameters, here, u_x, u_y)
-        p_x, v_x = within_walls(here.p_x, here.v_x, parameters.width)
-        p_y, v_y = within_walls(here.p_y, here.v_y, parameters.height)
-        here = State(p_x, p_y, v_x, v_y)
+        safe = safe and is_safe(parameters, late, memory.tiles, known, own, u_x, u_y)
+        own = _step(parameters, own, u_x, u_y)
+        p_x, v_x = within_walls(own.p_x, own.v_x, parameters.width)
+        p_y, v_y = within_walls(own.p_y, own.v_y, parameters.height)
+        own = State(p_x, p_y, v_x, v_y)
     claim = CERTIFIED if safe else PATH_UNKNOWN
-    memory.flags[0].claim = NO_STOP if plain else claim if own else NOT_OWN
-    return here, int(ahead[0].begins)
+    memory.flags[0].claim = NO_STOP if plain else claim if exclusive else NOT_OWN
+    return own, int(ahead[0].begins)
 
 
 @compiled

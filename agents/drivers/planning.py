@@ -9,7 +9,7 @@ The previous plan stays in use until the search ends. The limit is a number of t
 
 import math
 
-from agents.drivers.tile_map import OccupancyGrid, PlaceArray
+from agents.drivers.tile_map import IndexArray, OccupancyGrid
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.ground import UNSEEN, TileArray
 from sim.models.hazards import BLOCK, ROUGH
@@ -67,21 +67,21 @@ def _comes_first(cost: FloatArray, a: int, b: int) -> bool:
 
 
 @compiled
-def _rise(cost: FloatArray, heap: PlaceArray, place: PlaceArray, at: int) -> None:
+def _rise(cost: FloatArray, heap: IndexArray, heap_row: IndexArray, at: int) -> None:
     n = heap[at]
     while at > 0:
         above = (at - 1) // 2
         if not _comes_first(cost, n, heap[above]):
             break
         heap[at] = heap[above]
-        place[heap[at]] = at
+        heap_row[heap[at]] = at
         at = above
     heap[at] = n
-    place[n] = at
+    heap_row[n] = at
 
 
 @compiled
-def _sink(cost: FloatArray, heap: PlaceArray, place: PlaceArray, count: int) -> None:
+def _sink(cost: FloatArray, heap: IndexArray, heap_row: IndexArray, count: int) -> None:
     n, at = heap[0], 0
     while 2 * at + 1 < count:
         below = 2 * at + 1
@@ -90,10 +90,10 @@ def _sink(cost: FloatArray, heap: PlaceArray, place: PlaceArray, count: int) -> 
         if not _comes_first(cost, heap[below], n):
             break
         heap[at] = heap[below]
-        place[heap[at]] = at
+        heap_row[heap[at]] = at
         at = below
     heap[at] = n
-    place[n] = at
+    heap_row[n] = at
 
 
 @compiled
@@ -116,30 +116,30 @@ def start_search(memory: OccupancyGrid, goal: int) -> None:
         memory: Changed in place.
         goal: Tile of the goal, row by row.
     """
-    snapshot, place, flags = memory.snapshot, memory.place, memory.flags[0]
+    snapshot, heap_row, flags = memory.snapshot, memory.heap_row, memory.flags[0]
     rows, columns = memory.tiles.shape
     for i in range(rows):
         for j in range(columns):
             snapshot[i * columns + j] = memory.tiles[i, j]
-            place[i * columns + j] = _UNTOUCHED
+            heap_row[i * columns + j] = _UNTOUCHED
     if snapshot[goal] == BLOCK:
         snapshot[goal] = _BLOCKED_GOAL
     _touch(snapshot, rows, columns, goal)
     snapshot[goal] |= _HERE * _STEP
-    memory.cost[goal], memory.heap[0], place[goal] = 0.0, goal, 0
+    memory.cost[goal], memory.heap[0], heap_row[goal] = 0.0, goal, 0
     flags.aim, flags.open, flags.searching = goal, 1, 1
 
 
 @compiled
-def _reach_out(rough: float, tile: float, memory: OccupancyGrid, count: int, n: int) -> int:
+def _expand(rough: float, tile: float, memory: OccupancyGrid, count: int, n: int) -> int:
     """Update the paths of a settled tile's neighbours, and return the number of tiles in the heap."""
-    snapshot, cost, heap, place = memory.snapshot, memory.cost, memory.heap, memory.place
+    snapshot, cost, heap, heap_row = memory.snapshot, memory.cost, memory.heap, memory.heap_row
     rows, columns = memory.tiles.shape
     i, j, price = n // columns, n % columns, price_of(rough, snapshot[n])
     for row_step in range(-1 if i > 0 else 0, 2 if i + 1 < rows else 1):
         for column_step in range(-1 if j > 0 else 0, 2 if j + 1 < columns else 1):
             m = n + row_step * columns + column_step
-            if place[m] == _DONE or (snapshot[m] & _STATE) == BLOCK:
+            if heap_row[m] == _DONE or (snapshot[m] & _STATE) == BLOCK:
                 continue
             length = tile
             if row_step != 0 and column_step != 0:
@@ -149,7 +149,7 @@ def _reach_out(rough: float, tile: float, memory: OccupancyGrid, count: int, n: 
                 ):
                     continue  # the step would cut a corner
                 length = DIAGONAL * tile
-            fresh = place[m] == _UNTOUCHED
+            fresh = heap_row[m] == _UNTOUCHED
             if fresh:
                 _touch(snapshot, rows, columns, m)
             new = cost[n] + 0.5 * (price + price_of(rough, snapshot[m])) * length
@@ -158,9 +158,9 @@ def _reach_out(rough: float, tile: float, memory: OccupancyGrid, count: int, n: 
                 cost[m] = new
                 snapshot[m] = (snapshot[m] & (_STEP - 1)) | back
                 if fresh:
-                    heap[count], place[m] = m, count
+                    heap[count], heap_row[m] = m, count
                     count += 1
-                _rise(cost, heap, place, place[m])
+                _rise(cost, heap, heap_row, heap_row[m])
             elif new == cost[m] and back < snapshot[m] & ~(_STEP - 1):
                 snapshot[m] = (snapshot[m] & (_STEP - 1)) | back
     return count
@@ -182,9 +182,9 @@ def continue_search(
     Returns:
         True if the search has ended; the plan is in `snapshot`.
     """
-    heap, place, flags = memory.heap, memory.place, memory.flags[0]
+    heap, heap_row, flags = memory.heap, memory.heap_row, memory.flags[0]
     count, settled = flags.open, 0
-    if until < 0 or place[until] != _DONE:
+    if until < 0 or heap_row[until] != _DONE:
         while count > 0 and heap[0] != until:
             if settled == most:
                 flags.open = count
@@ -192,11 +192,11 @@ def continue_search(
             n = heap[0]
             settled += 1
             count -= 1
-            place[n] = _DONE
+            heap_row[n] = _DONE
             if count > 0:
                 heap[0] = heap[count]
-                _sink(memory.cost, heap, place, count)
-            count = _reach_out(rough, tile, memory, count, n)
+                _sink(memory.cost, heap, heap_row, count)
+            count = _expand(rough, tile, memory, count, n)
     flags.open, flags.searching = count, 0
     flags.settled = memory.cost[heap[0]] if count > 0 else math.inf
     return True
@@ -217,7 +217,7 @@ def is_settled(memory: OccupancyGrid, n: int) -> bool:
     """Return whether the last search settled the cheapest path from a tile, or that there is none."""
     settled = memory.flags[0].settled
     return bool(
-        math.isinf(settled) or (memory.place[n] != _UNTOUCHED and memory.cost[n] <= settled)
+        math.isinf(settled) or (memory.heap_row[n] != _UNTOUCHED and memory.cost[n] <= settled)
     )
 
 
@@ -237,7 +237,7 @@ def next_tile(path: TileArray, columns: int, n: int) -> int:
 
 
 @compiled
-def path_corners(path: TileArray, columns: int, n: int, corners: PlaceArray) -> int:
+def path_corners(path: TileArray, columns: int, n: int, corners: IndexArray) -> int:
     """Find the tiles in which the path of a plan turns, including the first tile and the goal.
 
     Args:

@@ -64,8 +64,8 @@ class UgvRows:
         underway, goal_x, goal_y = self._reached < len(goals), 0.0, 0.0
         if len(goals):
             goal_x, goal_y = goals[min(self._reached, len(goals) - 1)].tolist()
-        motion = observation.time, x, y, v_x, v_y
-        row = np.array((*motion, float(underway), goal_x, goal_y), dtype=np.float64)
+        state = observation.time, x, y, v_x, v_y
+        row = np.array((*state, float(underway), goal_x, goal_y), dtype=np.float64)
         return clipped(UGV, row, self._area, self._dt)
 
 

@@ -1,8 +1,8 @@
 """Scripted driver: a list of velocities with start times.
 
-It holds the velocity of the last step that has started, brakes before the first, and keeps the last. A velocity above
-v_max is shortened. The driver ignores obstacles: at the border of Q it hits the wall. It has no memory, so it may take
-over at any time.
+It commands the velocity of the last step that has started, brakes before the first, and keeps the last. A velocity
+above v_max is shortened. The driver ignores obstacles: at the border of Q it hits the wall. It has no memory, so it may
+take over at any time.
 """
 
 import msgspec

@@ -28,26 +28,26 @@ def velocity_control(
 
 @compiled
 def goal_control(
-    here: State, goal_x: float, goal_y: float, v_max: float, u_max: float, dt: float
+    own: State, goal_x: float, goal_y: float, v_max: float, u_max: float, dt: float
 ) -> tuple[float, float]:
     """Return the stabilizing control f(p_g, goal) [m/s²]: straight, as fast as the bounds allow, braking in time.
 
     Args:
-        here: State of the UGV.
+        own: State of the UGV.
         goal_x, goal_y: Goal [m].
         v_max, u_max: Bounds [m/s], [m/s²].
         dt: Length of a tick [s].
     """
-    d_x, d_y = goal_x - here.p_x, goal_y - here.p_y
+    d_x, d_y = goal_x - own.p_x, goal_y - own.p_y
     distance = norm(d_x, d_y)
     w_x, w_y = 0.0, 0.0
     if distance > 0.0:
         e_x, e_y = d_x / distance, d_y / distance
         # half of the next tick is driven at the old speed
-        rest = distance - 0.5 * dt * max(here.v_x * e_x + here.v_y * e_y, 0.0)
+        rest = distance - 0.5 * dt * max(own.v_x * e_x + own.v_y * e_y, 0.0)
         speed = min(v_max, speed_to_stop_within(rest, u_max, dt))
         w_x, w_y = e_x * speed, e_y * speed
-    return clip_norm((w_x - here.v_x) / dt, (w_y - here.v_y) / dt, u_max)
+    return clip_norm((w_x - own.v_x) / dt, (w_y - own.v_y) / dt, u_max)
 
 
 class Steering:
@@ -77,9 +77,9 @@ class Steering:
         self, observation: UgvObservation, goal: tuple[float, float]
     ) -> tuple[float, float]:
         """Return the acceleration [m/s²] towards a goal [m], as in the paper's driver."""
-        here = State(*observation.position, *observation.velocity)
+        own = State(*observation.position, *observation.velocity)
         x, y = float(goal[0]), float(goal[1])
-        return goal_control(here, x, y, self.v_max, self.u_max, self.dt)
+        return goal_control(own, x, y, self.v_max, self.u_max, self.dt)
 
     def to_rest(self, observation: UgvObservation) -> tuple[float, float]:
         """Return the acceleration [m/s²] that stops the UGV as soon as possible."""

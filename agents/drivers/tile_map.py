@@ -25,12 +25,12 @@ MEASURED, MAPPED = 1, 2
 and a building of the map, near which the UGV must not drive even where the ground is clear.
 """
 
-PlaceArray = npt.NDArray[np.int32]
+IndexArray = npt.NDArray[np.int32]
 """Tiles, row by row, or positions of tiles."""
 
 
 class GridFlags(NamedTuple):
-    """Scalars of an occupancy grid: flags, counters and the reach of its plan."""
+    """Scalars of an occupancy grid: flags, counters and the extent of its plan."""
 
     goal: int = 0
     """Number of the current goal."""
@@ -72,8 +72,8 @@ class OccupancyGrid(NamedTuple):
     """States to plan on: the reported ones, enlarged by the clearance. Shape (rows, columns)."""
     reported: TileArray
     """Reported states. Shape (rows, columns)."""
-    blocked: PlaceArray
-    unseen: PlaceArray
+    blocked: IndexArray
+    unseen: IndexArray
     """Number of tiles within the clearance that are blocked, or unseen. Shape (rows, columns)."""
     measured: TileArray
     """`MEASURED` or `MAPPED` if the state has this source; else 0. Shape (rows, columns)."""
@@ -89,8 +89,8 @@ class OccupancyGrid(NamedTuple):
 
     Shape (rows * columns,).
     """
-    heap: PlaceArray
-    place: PlaceArray
+    heap: IndexArray
+    heap_row: IndexArray
     """Binary heap of tiles in the search, and the index of each tile in it. Shape (rows * columns,)."""
     sent: RecordArray
     """`CheckedTrajectory` of each sent command: the one of tick k in row k % rows. Shape (delay + 2,)."""
@@ -125,7 +125,7 @@ def occupancy_grid(
         path=np.full(size, UNSEEN, dtype=np.uint8),
         cost=np.full(size, np.inf),
         heap=np.zeros(size, dtype=np.int32),
-        place=np.full(size, _NEVER, dtype=np.int32),
+        heap_row=np.full(size, _NEVER, dtype=np.int32),
         sent=no_trajectories(delay + EXTRA_ROWS),
         committed=no_trajectories(1),
         flags=records(GridFlags, [GridFlags(clearance=clearance)]),
@@ -145,13 +145,13 @@ def forget_sent(memory: OccupancyGrid) -> None:
     memory.sent["begins"], memory.flags["answered"] = NO_TRAJECTORY, _NEVER
 
 
-def _near_tiles(rows: int, columns: int, clearance: float) -> PlaceArray:
+def _near_tiles(rows: int, columns: int, clearance: float) -> IndexArray:
     """Return the number of tiles within the clearance of each tile. Shape (rows, columns)."""
     i, j = np.arange(rows), np.arange(columns)
-    found, reach = np.zeros((rows, columns), dtype=np.int32), math.floor(clearance) + 1
-    for away in range(-reach, reach + 1):
+    found, margin = np.zeros((rows, columns), dtype=np.int32), math.floor(clearance) + 1
+    for away in range(-margin, margin + 1):
         rest = math.floor(clearance * clearance) - max(abs(away) - 1, 0) ** 2
-        half = math.isqrt(rest) + 1 if reach else 0
+        half = math.isqrt(rest) + 1 if margin else 0
         inside = (i + away >= 0) & (i + away < rows)
         found += np.outer(inside, np.minimum(j + half, columns - 1) - np.maximum(j - half, 0) + 1)
     return found
@@ -173,9 +173,9 @@ def _set_tile(memory: OccupancyGrid, row: int, column: int, state: int) -> None:
         return
     memory.reported[row, column] = state
     clearance, (height, width) = memory.flags[0].clearance, memory.reported.shape
-    reach = math.floor(clearance) + 1
-    for i in range(max(row - reach, 0), min(row + reach + 1, height)):
-        for j in range(max(column - reach, 0), min(column + reach + 1, width)):
+    margin = math.floor(clearance) + 1
+    for i in range(max(row - margin, 0), min(row + margin + 1, height)):
+        for j in range(max(column - margin, 0), min(column + margin + 1, width)):
             if not _is_near(clearance, i - row, j - column):
                 continue
             memory.blocked[i, j] += (state == BLOCK) - (before == BLOCK)

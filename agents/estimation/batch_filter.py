@@ -115,24 +115,27 @@ def correct(parameters: KalmanParameters, now: EstimatorRow) -> None:
 
 
 @compiled
-def insert(rows: RecordArray, place: tuple[int, int], tick: int, detection: FloatArray) -> int:
+def insert(rows: RecordArray, row: tuple[int, int], tick: int, detection: FloatArray) -> int:
     """Store a detection at its tick and return that tick, or the next tick if the detection is unusable.
 
     Args:
         rows: Memory of all UAVs.
-        place: World and UAV.
+        row: World and UAV.
         tick: Current tick.
         detection: Detection, in the columns `DETECTION`. Shape (3,).
     """
-    world, uav = place
+    world, uav = row
     depth, taken = rows.shape[2] - 1, int(detection[DETECTION.taken])
     if taken < 0 or taken > tick or tick - taken >= depth:
         return tick + 1
-    row = rows[world, uav, 1 + taken % depth]
-    if row.tick != taken or row.measured:
+    entry = rows[world, uav, 1 + taken % depth]
+    if entry.tick != taken or entry.measured:
         return tick + 1
-    row.measured = True
-    row.z_x, row.z_y = row.own_x - detection[DETECTION.x], row.own_y - detection[DETECTION.y]
+    entry.measured = True
+    entry.z_x, entry.z_y = (
+        entry.own_x - detection[DETECTION.x],
+        entry.own_y - detection[DETECTION.y],
+    )
     return taken
 
 
@@ -140,9 +143,9 @@ def insert(rows: RecordArray, place: tuple[int, int], tick: int, detection: Floa
 def update(
     parameters: KalmanParameters,
     rows: RecordArray,
-    place: tuple[int, int],
+    row: tuple[int, int],
     tick: int,
-    here: State,
+    own: State,
     detections: FloatArray,
     count: int,
 ) -> None:
@@ -151,28 +154,28 @@ def update(
     Args:
         parameters: Parameters of the filter.
         rows: Memory of all UAVs, changed in place.
-        place: World and UAV.
+        row: World and UAV.
         tick: Current tick; the function must be called for every tick from 0 on.
-        here: Current state of the UAV.
+        own: Current state of the UAV.
         detections: Detections, in the columns `DETECTION`. Shape (rows, 3).
         count: Number of valid rows of `detections`.
     """
-    world, uav = place
+    world, uav = row
     depth, now = rows.shape[2] - 1, rows[world, uav, 0]
     predict(parameters, now)
-    now.tick, now.own_x, now.own_y, now.measured = tick, here.p_x, here.p_y, False
+    now.tick, now.own_x, now.own_y, now.measured = tick, own.p_x, own.p_y, False
     rows[world, uav, 1 + tick % depth] = now
     first = tick + 1
     for k in range(count):
-        first = min(first, insert(rows, place, tick, detections[k]))
+        first = min(first, insert(rows, row, tick, detections[k]))
     for k in range(first, tick + 1):
-        row = rows[world, uav, 1 + k % depth]
+        entry = rows[world, uav, 1 + k % depth]
         if k == first:
-            rows[world, uav, 0] = row
+            rows[world, uav, 0] = entry
         else:  # the state comes from the previous tick, the measurement from the ring
             predict(parameters, now)
-            now.tick, now.own_x, now.own_y = k, row.own_x, row.own_y
-            now.measured, now.z_x, now.z_y = row.measured, row.z_x, row.z_y
+            now.tick, now.own_x, now.own_y = k, entry.own_x, entry.own_y
+            now.measured, now.z_x, now.z_y = entry.measured, entry.z_x, entry.z_y
             rows[world, uav, 1 + k % depth] = now
         if now.measured:
             correct(parameters, now)

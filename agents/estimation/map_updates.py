@@ -18,7 +18,7 @@ from sim.models.ground import TileArray, block_letters, tiles_shape
 
 _REPEATS = 3
 """Number of transmissions of new reports before older blocks are repeated."""
-_REACH = 12.0
+_MOST_DISTANCE = 12.0
 """Largest distance of a transmitted block from the UGV [m]."""
 _TILES_PER_NUMBER = 16
 """Tiles per number of a message, three bits each."""
@@ -91,7 +91,7 @@ def next_block(
                 continue
             d_x = (column + 0.5) * side - g_x
             far = d_x * d_x + d_y * d_y
-            if far > _REACH * _REACH or (best_is_new and not is_new):
+            if far > _MOST_DISTANCE * _MOST_DISTANCE or (best_is_new and not is_new):
                 continue
             value = far if is_new else float(sent_tick)
             if value < best or (is_new and not best_is_new):
@@ -108,17 +108,17 @@ def encode_block(tiles: TileArray, row: int, column: int, words: IntArray) -> No
     for n in range(BLOCK_NUMBERS):
         word = 0
         for i in range(_TILES_PER_NUMBER):
-            place = n * _TILES_PER_NUMBER + i
-            r, c = row * BLOCK_SIDE + place // BLOCK_SIDE, column * BLOCK_SIDE + place % BLOCK_SIDE
+            index = n * _TILES_PER_NUMBER + i
+            r, c = row * BLOCK_SIDE + index // BLOCK_SIDE, column * BLOCK_SIDE + index % BLOCK_SIDE
             if r < tiles.shape[0] and c < tiles.shape[1]:
                 word |= int(tiles[r, c]) << (3 * i)
         words[n] = word
 
 
 @compiled
-def decode_tile(words: IntArray, place: int) -> int:
+def decode_tile(words: IntArray, index: int) -> int:
     """Decode the state of one tile of a block from the numbers of `encode_block`."""
-    return int(words[place // _TILES_PER_NUMBER] >> (3 * (place % _TILES_PER_NUMBER))) & 7
+    return int(words[index // _TILES_PER_NUMBER] >> (3 * (index % _TILES_PER_NUMBER))) & 7
 
 
 def map_update_ticks(rate: float, dt: float) -> int:

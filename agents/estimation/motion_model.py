@@ -1,4 +1,4 @@
-"""Assumptions of the UAV's filter: the noise of a detection, and the motion of a UGV with known bounds."""
+"""Assumptions of the UAV's filter: the noise of a detection, and the movement of a UGV with known bounds."""
 
 import math
 from typing import NamedTuple
@@ -50,7 +50,7 @@ class KalmanParameters(NamedTuple):
     max_rejections: int
     """Number of consecutive rejections after which the filter reinitializes."""
     enabled: bool
-    """False: the newest measurement is used unfiltered and held."""
+    """False: the newest measurement is used unfiltered until the next one."""
 
 
 def truncated_variance(*, sigma: float, truncation: float | None) -> float:
@@ -83,8 +83,9 @@ def acceleration_deviation(*, target: Limits, acceleration_share: float, dt: flo
     $$ \sigma_u = m\, u_{g,max} \sqrt{T/dt}, \qquad T = \max(dt,\ \tfrac12 v_{g,max}/u_{g,max}) $$
 
     A real UGV does not change its acceleration at random in each tick: it brakes or accelerates for up to
-    $v_{g,max}/u_{g,max}$, half of it on average. Noise of deviation $m\,u_{g,max}$ held for T has the same density as
-    noise held for one tick and larger by the root, so the filter does not depend on the length of a tick.
+    $v_{g,max}/u_{g,max}$, half of it on average. Noise of deviation $m\,u_{g,max}$, constant for T, has the same
+    density as noise that is constant for one tick and larger by the root, so the filter does not depend on the length
+    of a tick.
 
     Deviation: without the root (T = dt) a UGV that stops at its corners gives an average NEES of 9 on legs of 1 to 8 m
     and 37 on legs below 1 m, where 4 is consistent, because the filter is overconfident; with it 2.5 and 3.2.
@@ -102,8 +103,10 @@ def acceleration_deviation(*, target: Limits, acceleration_share: float, dt: flo
         The standard deviation [m/s²].
     """
     acceleration = _largest_acceleration(target, dt)
-    hold = _ACCELERATION_TIME if target.max_speed is None else 0.5 * target.max_speed / acceleration
-    return acceleration_share * acceleration * math.sqrt(max(dt, hold) / dt)
+    duration = (
+        _ACCELERATION_TIME if target.max_speed is None else 0.5 * target.max_speed / acceleration
+    )
+    return acceleration_share * acceleration * math.sqrt(max(dt, duration) / dt)
 
 
 def _largest_acceleration(target: Limits, dt: float) -> float:
@@ -174,7 +177,7 @@ def bounded_scales(
 
 
 def process_noise(*, dt: float, deviation: float) -> FloatArray:
-    r"""Return Q of one axis over one tick, with a random acceleration held over it.
+    r"""Return Q of one axis over one tick, with a random acceleration constant over it.
 
     $$ Q = \sigma_u^2 \begin{bmatrix} dt^4/4 & dt^3/2 \\ dt^3/2 & dt^2 \end{bmatrix} $$
 

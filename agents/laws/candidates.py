@@ -61,7 +61,7 @@ def worth(
     uav: UavParameters,
     ahead: Ahead,
     own: State,
-    motion: FloatArray,
+    velocities: FloatArray,
     lack: FloatArray,
     gains: FloatArray,
     views: Views | None = None,
@@ -78,7 +78,7 @@ def worth(
         uav: Constants of the UAV.
         ahead: Data from `look_ahead`.
         own: State of the UAV.
-        motion: Velocity of each leg [m/s]. Shape (any, 2).
+        velocities: Velocity of each leg [m/s]. Shape (any, 2).
         lack: Work array of the shape of `ahead.lack`.
         gains: Work array. Shape (8,).
         views: What buildings hide; None: there are no buildings.
@@ -95,7 +95,9 @@ def worth(
     cost = 0.0
     for k in range(ahead.legs.size):
         leg = ahead.legs[k]
-        own, x, y = fly_step(own, motion[leg, 0], motion[leg, 1], uav.max_acceleration, step)
+        own, x, y = fly_step(
+            own, velocities[leg, 0], velocities[leg, 1], uav.max_acceleration, step
+        )
         cost += (
             step
             * _STRAY_COST

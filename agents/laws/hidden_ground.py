@@ -1,7 +1,7 @@
 """Coarse cells that buildings hide from the candidate trajectories of the law `lookahead`."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -9,6 +9,7 @@ import numpy.typing as npt
 from agents.laws.horizon import Ahead
 from agents.uav_parameters import UavParameters
 from sim.compiling.compile import compiled
+from sim.compiling.dispatch import unless_none
 from sim.compiling.lanes import LANES
 from sim.models.grid import disc_chords
 from sim.models.shadows import Occlusion, cast_shadow
@@ -22,14 +23,13 @@ class Views(NamedTuple):
     hidden: npt.NDArray[np.uint8]
     """1: the last two axes' cell is hidden from the first two axes' cell. Shape (rows, columns, rows, columns)."""
     computed: npt.NDArray[np.uint8]
-    """1: the cells hidden from here are known. Shape (rows, columns)."""
+    """1: the cells hidden from this one are known. Shape (rows, columns)."""
 
 
+@unless_none
 @compiled
-def empty_views(ahead: Ahead, occlusion: Occlusion | None) -> Any:  # noqa: ANN401 - its type depends on the occlusion
+def empty_views(occlusion: Occlusion, ahead: Ahead) -> Views:
     """Return `Views` without any computed one; None if there are no buildings."""
-    if occlusion is None:
-        return None
     size = ahead.lack.shape[0]
     return Views(
         occlusion, np.zeros((size, size, size, size), np.uint8), np.zeros((size, size), np.uint8)
@@ -59,10 +59,10 @@ def hidden_from(
         return hidden
     views.computed[row, column] = 1
     x, y = ahead.x + (column + 0.5) * cell, ahead.y + (row + 0.5) * cell
-    reach = uav.sensor.sensing_range + cell
+    radius = uav.sensor.sensing_range + cell
     rows, columns = math.ceil(uav.height / cell), math.ceil(uav.width / cell)
-    first_row, chords = disc_chords(x, y, reach, cell, rows, columns)
-    shadow = cast_shadow(views.occlusion, x, y, reach, cell, first_row, chords)
+    first_row, chords = disc_chords(x, y, radius, cell, rows, columns)
+    shadow = cast_shadow(views.occlusion, x, y, radius, cell, first_row, chords)
     left, low = round(ahead.x / cell), round(ahead.y / cell)
     for n in range(chords.shape[1]):
         for i in range(chords[0, n], chords[1, n]):

@@ -80,32 +80,33 @@ def learn_persistence(memory: Memory, target: Target) -> float:
 def aim(
     ahead: Ahead,
     own: State,
-    motion: FloatArray,
+    velocities: FloatArray,
     first: int,
-    places: tuple[float, float, float, float],
+    near: tuple[float, float],
+    far: tuple[float, float],
 ) -> None:
     """Let a candidate, from leg `first` on, lead to one point beside the UGV and then to another.
 
     Args:
         ahead: Data from `look_ahead`.
         own: State of the UAV.
-        motion: Changed in place. Shape (any, 2).
+        velocities: Changed in place. Shape (any, 2).
         first: First leg to change.
-        places: Both points relative to the UGV [m]: x and y of the first, then of the second.
+        near, far: First and second point relative to the UGV [m].
     """
     steps = ahead.legs.size
     leg = ahead.leg
     p_x, p_y, arrived = own.p_x, own.p_y, False
-    for n in range(motion.shape[0]):
+    for n in range(velocities.shape[0]):
         if n >= first:
             k = min(int((n + 0.5) * leg / ahead.step), steps - 1)
-            a_x, a_y = (places[2], places[3]) if arrived else (places[0], places[1])
+            a_x, a_y = far if arrived else near
             w_x = (ahead.track[k, 0] + a_x - p_x) / leg
             w_y = (ahead.track[k, 1] + a_y - p_y) / leg
             arrived = arrived or norm(w_x, w_y) < ahead.v_ref
-            motion[n, 0], motion[n, 1] = clip_norm(w_x, w_y, ahead.v_ref)
-        p_x += motion[n, 0] * leg
-        p_y += motion[n, 1] * leg
+            velocities[n, 0], velocities[n, 1] = clip_norm(w_x, w_y, ahead.v_ref)
+        p_x += velocities[n, 0] * leg
+        p_y += velocities[n, 1] * leg
 
 
 @compiled
@@ -113,7 +114,7 @@ def draw_candidate(
     uav: UavParameters,
     ahead: Ahead,
     own: State,
-    motion: FloatArray,
+    velocities: FloatArray,
     key: Key,
     tick: int,
     n: int,
@@ -129,34 +130,30 @@ def draw_candidate(
     used = ahead.legs[ahead.legs.size - 1] + 1
     leg, turn = int(b * used), 2.0 * math.pi * a
     if n % 4 == 0 or n % 4 == 3:
-        near, far = max(0.0, uav.max_distance) * math.sqrt(d), max(0.0, uav.max_distance) * e
+        r_near, r_far = max(0.0, uav.max_distance) * math.sqrt(d), max(0.0, uav.max_distance) * e
         other = 2.0 * math.pi * (16.0 * b - math.floor(16.0 * b))
-        places = (
-            near * math.cos(turn),
-            near * math.sin(turn),
-            far * math.cos(other),
-            far * math.sin(other),
-        )
-        aim(ahead, own, motion, 0 if n % 4 == 0 else leg, places)
+        near = r_near * math.cos(turn), r_near * math.sin(turn)
+        far = r_far * math.cos(other), r_far * math.sin(other)
+        aim(ahead, own, velocities, 0 if n % 4 == 0 else leg, near, far)
     elif n % 4 == 1:
         speed = ahead.v_ref * min(1.0, 1.5 * d)
-        motion[leg, 0], motion[leg, 1] = speed * math.cos(turn), speed * math.sin(turn)
+        velocities[leg, 0], velocities[leg, 1] = speed * math.cos(turn), speed * math.sin(turn)
     else:
         d_x, d_y = ahead.v_ref * (a - 0.5), ahead.v_ref * (e - 0.5)
         for m in range(leg, min(leg + 1 + int(2.0 * d), used)):
-            motion[m, 0], motion[m, 1] = clip_norm(
-                motion[m, 0] + d_x, motion[m, 1] + d_y, ahead.v_ref
+            velocities[m, 0], velocities[m, 1] = clip_norm(
+                velocities[m, 0] + d_x, velocities[m, 1] + d_y, ahead.v_ref
             )
 
 
 @compiled
-def recall(memory: Memory, now: int, motion: FloatArray) -> None:
-    """Write the chosen trajectory, from the current leg on, into `motion`; after its last leg it keeps the velocity."""
-    velocities: Any = memory.velocities
+def recall(memory: Memory, now: int, velocities: FloatArray) -> None:
+    """Write the chosen trajectory, from the current leg on, into `velocities`; its last velocity continues."""
+    stored: Any = memory.velocities
     passed = max(0, now - memory.first)
-    for n in range(motion.shape[0]):
-        velocity = velocities[min(n + passed, _SLOTS - 1)]
-        motion[n, 0], motion[n, 1] = velocity[0], velocity[1]
+    for n in range(velocities.shape[0]):
+        velocity = stored[min(n + passed, _SLOTS - 1)]
+        velocities[n, 0], velocities[n, 1] = velocity[0], velocity[1]
 
 
 @compiled
@@ -179,7 +176,7 @@ def decide(
     recall(memory, now, best)
     if law.candidates > 1:
         lack, gains = np.empty_like(ahead.lack), np.empty(WINDOW)
-        views = empty_views(ahead, occlusion)
+        views = empty_views(occlusion, ahead)
         most = worth(uav, ahead, own, best, lack, gains, views)
         for n in range(1, law.candidates):
             copy(best, tried)

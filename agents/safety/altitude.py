@@ -9,6 +9,8 @@ executed plan, the UGV must be within the smaller radius already where the plan 
 Altitudes above the ground [m], climb rates [m/s], vertical accelerations [m/s²].
 """
 
+from typing import NamedTuple
+
 from agents.safety.decision import (
     BACKUP,
     BEST_EFFORT,
@@ -34,7 +36,13 @@ from agents.safety.trajectories import end_disc
 from bus.messages.decision import NotCertified
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray, code
-from sim.models.altitude import VerticalState, level_off, lowest_ahead, step_altitude
+from sim.models.altitude import (
+    VerticalLimits,
+    VerticalState,
+    level_off,
+    lowest_ahead,
+    step_altitude,
+)
 from sim.models.trajectories import NO_TRAJECTORY, follow_on
 from sim.models.vehicles import State, brake
 
@@ -49,6 +57,14 @@ Both are far above the effect of rounding. The bounds of a floor hold from `FLOO
 FLOOR_MARGIN = 3.0 * _SLACK
 
 
+class Acceleration(NamedTuple):
+    """Acceleration of a UAV [m/s²]."""
+
+    x: float
+    y: float
+    z: float
+
+
 @compiled
 def level_of(levels: RecordArray, z: float, slack: float = _SLACK) -> int:
     """Return the row of the highest floor at most `slack` above an altitude; -1: none. Floors increase with the row."""
@@ -60,63 +76,65 @@ def level_of(levels: RecordArray, z: float, slack: float = _SLACK) -> int:
 
 
 @compiled
-def _step(own: VerticalState, here: Height, command: float, dt: float) -> Height:
-    limits = own.lowest, own.highest, own.max_rate, own.max_acceleration
-    z, rate, _ = step_altitude(here.z, here.rate, command, limits, dt)
+def _step(vertical: VerticalState, start: Height, command: float, dt: float) -> Height:
+    limits = VerticalLimits(
+        vertical.lowest, vertical.highest, vertical.max_rate, vertical.max_acceleration
+    )
+    z, rate, _ = step_altitude(start.z, start.rate, command, limits, dt)
     return Height(z, rate)
 
 
 @compiled
-def _plan_step(own: VerticalState, here: Height, plan: RecordArray, dt: float) -> Height:
+def _plan_step(vertical: VerticalState, start: Height, plan: RecordArray, dt: float) -> Height:
     """Return the height after a tick of the plan in a table of one row, at its age."""
     if plan[0].begins >= 0 and plan[0].age == 0:
-        return _step(own, here, plan[0].vertical_acceleration, dt)
-    return _step(own, here, level_off(here.rate, own.max_acceleration, dt), dt)
+        return _step(vertical, start, plan[0].vertical_acceleration, dt)
+    return _step(vertical, start, level_off(start.rate, vertical.max_acceleration, dt), dt)
 
 
 @compiled
 def predict_height(
-    pending: PendingCommands, own: VerticalState, tick: int, delay_ticks: int, dt: float
+    pending: PendingCommands, vertical: VerticalState, tick: int, delay_ticks: int, dt: float
 ) -> tuple[Height, float]:
-    """Predict the height at which the plan of this tick's command begins, as `predict` does for the motion.
+    """Predict the height at which the plan of this tick's command begins, as `predict` does for the state in the plane.
 
     Returns:
         The height, and the lowest altitude until then [m].
     """
-    here, lowest = Height(own.altitude, own.rate), own.altitude
+    height, lowest = Height(vertical.altitude, vertical.rate), vertical.altitude
     ahead = pending.committed[PREDICTED : PREDICTED + 1]
     ahead[0] = pending.committed[COMMITTED]
     for k in range(delay_ticks):
         follow_on(pending.sent, ahead, tick + k)
-        here = _plan_step(own, here, ahead, dt)
+        height = _plan_step(vertical, height, ahead, dt)
         ahead[0].age += 1
-        lowest = min(lowest, here.z)
-    return here, lowest
+        lowest = min(lowest, height.z)
+    return height, lowest
 
 
 @compiled
-def _expect_height(pending: PendingCommands, own: VerticalState, tick: int, dt: float) -> None:
-    """Record the expected heights at the next tick, as `send_plan` does for the motion."""
+def _expect_height(pending: PendingCommands, vertical: VerticalState, tick: int, dt: float) -> None:
+    """Record the expected heights at the next tick, as `send_plan` does for the state in the plane."""
     ahead = pending.committed[PREDICTED : PREDICTED + 1]
     for k in (LOST, STARTED):
         ahead[0] = pending.committed[COMMITTED]
         if k == STARTED:
             follow_on(pending.sent, ahead, tick)
-        there = _plan_step(own, Height(own.altitude, own.rate), ahead, dt)
+        there = _plan_step(vertical, Height(vertical.altitude, vertical.rate), ahead, dt)
         pending.expected[k].z, pending.expected[k].rate = there.z, there.rate
 
 
 @compiled
-def _lowest_after(own: VerticalState, here: Height, command: float, dt: float) -> float:
+def _lowest_after(vertical: VerticalState, start: Height, command: float, dt: float) -> float:
     """Return the lowest altitude of a plan whose first tick has this vertical acceleration [m].
 
     A descent at rate v that turns into a climb within a tick, with the acceleration a, falls v²/(2a) before it turns.
     """
-    then = _step(own, here, command, dt)
-    within = min(here.z, then.z)
-    if here.rate < 0.0 < then.rate:
-        within = here.z - 0.5 * here.rate * here.rate * dt / (then.rate - here.rate)
-    return min(within, lowest_ahead(then.z, then.rate, own.max_acceleration, dt))
+    then = _step(vertical, start, command, dt)
+    within = min(start.z, then.z)
+    if start.rate < 0.0 < then.rate:
+        within = start.z - 0.5 * start.rate * start.rate * dt / (then.rate - start.rate)
+    return min(within, lowest_ahead(then.z, then.rate, vertical.max_acceleration, dt))
 
 
 @compiled
@@ -124,9 +142,9 @@ def decide_in_space(
     levels: RecordArray,
     memory: FilterMemory,
     tick: int,
-    here: State,
-    own: VerticalState,
-    wanted: tuple[float, float, float],
+    own: State,
+    vertical: VerticalState,
+    nominal: Acceleration,
     committed: int = NO_TRAJECTORY,
 ) -> None:
     """Decide on the nominal accelerations of a UAV with an altitude; as `decide` otherwise.
@@ -139,50 +157,53 @@ def decide_in_space(
         levels: `SafetyBounds` by increasing floor. Shape (levels,).
         memory: Memory of the filter, changed in place.
         tick: Current tick.
-        here: Current horizontal state of the UAV.
-        own: Vertical limits and state of the UAV.
-        wanted: Nominal acceleration, horizontal and vertical [m/s²].
+        own: Current horizontal state of the UAV.
+        vertical: Vertical limits and state of the UAV.
+        nominal: Nominal acceleration.
         committed: As in `decide`.
     """
     dt, delay = levels[0].dt, levels[0].delay_ticks
     plan, discs = memory.plan, memory.discs
-    now = level_of(levels, lowest_ahead(own.altitude, own.rate, own.max_acceleration, dt))
+    now = level_of(
+        levels, lowest_ahead(vertical.altitude, vertical.rate, vertical.max_acceleration, dt)
+    )
     beginning = begin_decision(
-        levels[max(now, 0)], memory, tick, here, Height(own.altitude, own.rate), committed
+        levels[max(now, 0)], memory, tick, own, Height(vertical.altitude, vertical.rate), committed
     )
     floor = memory.pending.committed[COMMITTED].floor
-    ahead, lowest = predict_height(memory.pending, own, tick, delay, dt)
+    ahead, lowest = predict_height(memory.pending, vertical, tick, delay, dt)
     follows = (
-        own.altitude >= floor - 2.0 * _SLACK or memory.pending.committed[COMMITTED].checked == 0
+        vertical.altitude >= floor - 2.0 * _SLACK
+        or memory.pending.committed[COMMITTED].checked == 0
     )
     begins, new = tick + delay, newest_disc(discs)
-    source, u_z = BEST_EFFORT, wanted[2]
+    source, u_z = BEST_EFFORT, nominal.z
     u_x, u_y = 0.0, 0.0
-    level = level_of(levels, _lowest_after(own, ahead, u_z, dt))
+    level = level_of(levels, _lowest_after(vertical, ahead, u_z, dt))
     if level >= 0 and new >= 0:
         bounds = levels[level]
         known = known_discs(bounds, discs, end_disc(plan), new, begins, beginning.ahead)
         found, u_x, u_y = try_nominal(
-            bounds, known, plan, begins, beginning.ahead, wanted[0], wanted[1]
+            bounds, known, plan, begins, beginning.ahead, nominal.x, nominal.y
         )
         source = NOMINAL if found else BEST_EFFORT
     if source == BEST_EFFORT:
-        u_z = level_off(ahead.rate, own.max_acceleration, dt)
-        level = level_of(levels, _lowest_after(own, ahead, u_z, dt), 2.0 * _SLACK)
+        u_z = level_off(ahead.rate, vertical.max_acceleration, dt)
+        level = level_of(levels, _lowest_after(vertical, ahead, u_z, dt), 2.0 * _SLACK)
         if level >= 0:
             u_x, u_y, source = choose_control(
-                levels[level], discs, plan, begins, beginning.ahead, wanted[0], wanted[1]
+                levels[level], discs, plan, begins, beginning.ahead, nominal.x, nominal.y
             )
-            source = BACKUP if source == NOMINAL and u_z != wanted[2] else source
+            source = BACKUP if source == NOMINAL and u_z != nominal.z else source
         else:
             u_x, u_y = best_effort(levels[0], discs, plan, beginning.ahead)
-            u_z = own.max_acceleration
-            if _lowest_after(own, ahead, u_z, dt) < levels[0].roofs - 2.0 * _SLACK:
+            u_z = vertical.max_acceleration
+            if _lowest_after(vertical, ahead, u_z, dt) < levels[0].roofs - 2.0 * _SLACK:
                 v = beginning.ahead
                 u_x, u_y = brake(v.v_x, v.v_y, levels[0].u_a, dt)
-    end_decision(levels[max(level, 0)], memory, tick, here, beginning, (u_x, u_y), source)
+    end_decision(levels[max(level, 0)], memory, tick, own, beginning, (u_x, u_y), source)
     memory.pending.sent[begins % memory.pending.sent.shape[0]].vertical_acceleration = u_z
-    _expect_height(memory.pending, own, tick, dt)
+    _expect_height(memory.pending, vertical, tick, dt)
     decision = memory.decision[0]
     decision.vertical_acceleration = u_z
     if decision.reason == CERTIFIED and not follows:

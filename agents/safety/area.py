@@ -1,4 +1,4 @@
-"""Walls of the area: UAV motion at the walls, and the distance that plans keep from them.
+"""Walls of the area: movement of a UAV at the walls, and the distance that plans keep from them.
 
 Positions [m], speeds [m/s], accelerations [m/s²].
 """
@@ -20,14 +20,14 @@ _CLEAR = 1e-9
 
 
 @compiled
-def step_in_area(bounds: SafetyBounds, here: State, u_x: float, u_y: float) -> tuple[State, float]:
+def step_in_area(bounds: SafetyBounds, state: State, u_x: float, u_y: float) -> tuple[State, float]:
     """Return the state of the UAV after one tick, by (1) and the walls.
 
     Returns:
         The state, and the distance between it and the state by (1) alone [m].
     """
     q_x, q_y, w_x, w_y, _, _ = step_vehicle(
-        here.p_x, here.p_y, here.v_x, here.v_y, u_x, u_y, bounds.v_a, bounds.u_a, bounds.dt
+        state.p_x, state.p_y, state.v_x, state.v_y, u_x, u_y, bounds.v_a, bounds.u_a, bounds.dt
     )
     x, w_x = within_walls(q_x, w_x, bounds.width)
     y, w_y = within_walls(q_y, w_y, bounds.height)
@@ -81,12 +81,12 @@ def _is_off_wall(p: float, v: float, a: float, duration: float, size: float) -> 
 
 @compiled
 def stays_in_area(
-    bounds: SafetyBounds, here: State, a_x: float, a_y: float, duration: float
+    bounds: SafetyBounds, state: State, a_x: float, a_y: float, duration: float
 ) -> bool:
     """Return whether a trajectory with constant acceleration keeps its distance from the walls.
 
     Contact with a wall would make the UAV leave its plan.
     """
-    return _is_off_wall(here.p_x, here.v_x, a_x, duration, bounds.width) and _is_off_wall(
-        here.p_y, here.v_y, a_y, duration, bounds.height
+    return _is_off_wall(state.p_x, state.v_x, a_x, duration, bounds.width) and _is_off_wall(
+        state.p_y, state.v_y, a_y, duration, bounds.height
     )

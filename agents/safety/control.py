@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from agents.safety.altitude import decide_in_space
+from agents.safety.altitude import Acceleration, decide_in_space
 from agents.safety.decision import decide
 from agents.safety.memory import FilterMemory, add_measurement, add_position
 from agents.uav_inputs import DETECTION, UavInputs
@@ -35,7 +35,7 @@ def filter_control(
     levels: RecordArray | None,
     memory: FilterMemory,
     inputs: UavInputs,
-    nominal: tuple[float, float, float],
+    nominal: Acceleration,
 ) -> tuple[float, float, float]:
     """Return the acceleration that the safety filter permits [m/s²]; decision and plan are in its memory.
 
@@ -44,15 +44,15 @@ def filter_control(
         levels: Its bounds by increasing floor; None: all UAVs fly in the plane. Shape (levels,).
         memory: Memory of the filter, changed in place.
         inputs: State and messages, after `record_measurements`.
-        nominal: Nominal acceleration of the law, the operator or the policy: x, y and z [m/s²].
+        nominal: Nominal acceleration of the law, the operator or the policy.
     """
     tick, own, committed = inputs.tick, inputs.own, inputs.committed
     vertical: Any = inputs.vertical  # not None if levels are not
     if levels is None:
-        decide(safety[0], memory, tick, own, nominal[0], nominal[1], committed)
+        decide(safety[0], memory, tick, own, nominal.x, nominal.y, committed)
     elif vertical.flies:
         decide_in_space(levels, memory, tick, own, vertical, nominal, committed)
     else:
-        decide(safety[0], memory, tick, own, nominal[0], nominal[1], committed)
+        decide(safety[0], memory, tick, own, nominal.x, nominal.y, committed)
     decision = memory.decision[0]
     return decision.acceleration[0], decision.acceleration[1], decision.vertical_acceleration

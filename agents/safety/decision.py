@@ -66,7 +66,7 @@ def _stays_in_sight(
     known: KnownDiscs,
     checked: bool,
     tick: int,
-    here: State,
+    own: State,
     then: State,
     over: float,
 ) -> bool:
@@ -75,7 +75,7 @@ def _stays_in_sight(
     The wall holds the UAV back by `over` [m]. A plan checked with these bounds implies that the UGV is in sight now.
     """
     within = (
-        checked or farthest(bounds, known, tick, here.p_x, here.p_y, bounds.radius) <= bounds.radius
+        checked or farthest(bounds, known, tick, own.p_x, own.p_y, bounds.radius) <= bounds.radius
     )
     if within and over > 0.0:
         # during the tick, the bound is at most that at the point beyond the wall
@@ -90,11 +90,11 @@ def try_nominal(
     known: KnownDiscs,
     plan: RecordArray,
     tick: int,
-    here: State,
+    own: State,
     u_x: float,
     u_y: float,
 ) -> tuple[bool, float, float]:
-    """Hold a plan that begins after a tick of the nominal acceleration.
+    """Store a plan that begins after a tick of the nominal acceleration.
 
     Arguments as in `choose_control`.
 
@@ -102,11 +102,11 @@ def try_nominal(
         False, without changes, if there is none; and the nominal acceleration within its bound [m/s²].
     """
     w_x, w_y = clip_norm(u_x, u_y, bounds.u_a)
-    then, over = step_in_area(bounds, here, w_x, w_y)
+    then, over = step_in_area(bounds, own, w_x, w_y)
     found = False
     # a plan checked from a higher altitude, where the UAV sees farther, implies nothing
     checked = plan[0].checked != 0 and plan[0].floor <= bounds.floor
-    if _stays_in_sight(bounds, known, checked, tick, here, then, over):
+    if _stays_in_sight(bounds, known, checked, tick, own, then, over):
         found = stop_from(bounds, known, plan, tick + 1, then)
         found = found or return_from(bounds, known, plan, tick + 1, then)
     return found, w_x, w_y
@@ -114,15 +114,15 @@ def try_nominal(
 
 @compiled
 def best_effort(
-    bounds: SafetyBounds, discs: RecordArray, plan: RecordArray, here: State
+    bounds: SafetyBounds, discs: RecordArray, plan: RecordArray, own: State
 ) -> tuple[float, float]:
     """Return the acceleration towards the newest measurement; without one, brake [m/s²]. The plan is unchecked."""
     plan[0].checked = 0
     new = newest_disc(discs)
     if new < 0:
-        u_x, u_y = brake(here.v_x, here.v_y, bounds.u_a, bounds.dt)
+        u_x, u_y = brake(own.v_x, own.v_y, bounds.u_a, bounds.dt)
         return u_x, u_y
-    u_x, u_y = servo(here, discs[new].x, discs[new].y, bounds.v_a, bounds.u_a, bounds.dt)
+    u_x, u_y = servo(own, discs[new].x, discs[new].y, bounds.v_a, bounds.u_a, bounds.dt)
     return u_x, u_y
 
 
@@ -132,7 +132,7 @@ def choose_control(
     discs: RecordArray,
     plan: RecordArray,
     tick: int,
-    here: State,
+    own: State,
     u_x: float,
     u_y: float,
 ) -> tuple[float, float, int]:
@@ -146,7 +146,7 @@ def choose_control(
         discs: `Disc` of each kept measurement, from `add_disc`. Shape (KEPT,).
         plan: `CheckedTrajectory` of the current plan, changed in place. Shape (1,).
         tick: Tick in which the command takes effect.
-        here: State of the UAV at that tick.
+        own: State of the UAV at that tick.
         u_x, u_y: Nominal acceleration [m/s²].
 
     Returns:
@@ -154,21 +154,21 @@ def choose_control(
     """
     new = newest_disc(discs)
     if new < 0:
-        u_x, u_y = brake(here.v_x, here.v_y, bounds.u_a, bounds.dt)
+        u_x, u_y = brake(own.v_x, own.v_y, bounds.u_a, bounds.dt)
         return u_x, u_y, BEST_EFFORT
-    held = plan[0]
-    going = held.checked != 0 and held.turn + held.cruise + held.brake > 0
-    known = known_discs(bounds, discs, end_disc(plan), new, tick, here)
-    found, w_x, w_y = try_nominal(bounds, known, plan, tick, here, u_x, u_y)
+    backup = plan[0]
+    going = backup.checked != 0 and backup.turn + backup.cruise + backup.brake > 0
+    known = known_discs(bounds, discs, end_disc(plan), new, tick, own)
+    found, w_x, w_y = try_nominal(bounds, known, plan, tick, own, u_x, u_y)
     if found:
         return w_x, w_y, NOMINAL
-    found = return_from(bounds, known, plan, tick, here)
+    found = return_from(bounds, known, plan, tick, own)
     if not found and not going:
-        found = stop_from(bounds, known, plan, tick, here, 1)
+        found = stop_from(bounds, known, plan, tick, own, 1)
     if found or going:
-        w_x, w_y = follow(bounds, plan, here.v_x, here.v_y)
+        w_x, w_y = follow(bounds, plan, own.v_x, own.v_y)
         return w_x, w_y, BACKUP
-    w_x, w_y = best_effort(bounds, discs, plan, here)
+    w_x, w_y = best_effort(bounds, discs, plan, own)
     return w_x, w_y, BEST_EFFORT
 
 
@@ -177,7 +177,7 @@ def _executed_plan(
     bounds: SafetyBounds,
     memory: FilterMemory,
     tick: int,
-    here: State,
+    own: State,
     height: Height,
     committed: int,
 ) -> int:
@@ -191,7 +191,7 @@ def _executed_plan(
     pending, last = memory.pending, tick - 1
     begins = pending.sent[last % pending.sent.shape[0]].begins
     answered = last >= 0 and memory.flags[0].tick == last and begins == last
-    return last if answered and is_expected(pending, tick, here, height, last) else committed
+    return last if answered and is_expected(pending, tick, own, height, last) else committed
 
 
 @compiled
@@ -244,7 +244,7 @@ def begin_decision(
     bounds: SafetyBounds,
     memory: FilterMemory,
     tick: int,
-    here: State,
+    own: State,
     height: Height,
     committed: int,
 ) -> Beginning:
@@ -254,13 +254,13 @@ def begin_decision(
     """
     flags, pending, plan, discs = memory.flags[0], memory.pending, memory.plan, memory.discs
     decision = memory.decision[0]
-    decision.certified_distance = certified_distance(bounds, discs, tick, here.p_x, here.p_y)
-    committed = _executed_plan(bounds, memory, tick, here, height, committed)
-    expected = receive_observation(pending, tick, here, height, committed, flags.tick)
+    decision.certified_distance = certified_distance(bounds, discs, tick, own.p_x, own.p_y)
+    committed = _executed_plan(bounds, memory, tick, own, height, committed)
+    expected = receive_observation(pending, tick, own, height, committed, flags.tick)
     flags.from_start = 1 if tick == 0 else flags.from_start
     if flags.from_start == 1 and height.rate == 0.0:
-        check_rest(bounds, pending, discs, plan, tick, here)
-    ahead, checked, wait = predict(bounds, pending, tick, here)
+        check_rest(bounds, pending, discs, plan, tick, own)
+    ahead, checked, wait = predict(bounds, pending, tick, own)
     update_plan(pending, plan)
     if contradicts_plan(bounds, discs, plan):
         flags.contradicted = 1
@@ -272,7 +272,7 @@ def end_decision(
     bounds: SafetyBounds,
     memory: FilterMemory,
     tick: int,
-    here: State,
+    own: State,
     beginning: Beginning,
     acceleration: tuple[float, float],
     source: int,
@@ -280,7 +280,7 @@ def end_decision(
     """Record the decision: the acceleration [m/s²] and its source. Other arguments as in `decide`."""
     decision = memory.decision[0]
     checked = source != BEST_EFFORT
-    send_plan(bounds, memory.pending, memory.plan, tick, here, acceleration, checked)
+    send_plan(bounds, memory.pending, memory.plan, tick, own, acceleration, checked)
     memory.flags[0].tick = tick
     decision.acceleration[0], decision.acceleration[1] = acceleration
     decision.source = source
@@ -294,7 +294,7 @@ def decide(
     bounds: SafetyBounds,
     memory: FilterMemory,
     tick: int,
-    here: State,
+    own: State,
     u_x: float,
     u_y: float,
     committed: int = NO_TRAJECTORY,
@@ -308,13 +308,13 @@ def decide(
         bounds: Bounds of the filter.
         memory: Memory of the filter, changed in place.
         tick: Current tick.
-        here: Current state of the UAV.
+        own: Current state of the UAV.
         u_x, u_y: Nominal acceleration [m/s²].
         committed: First tick of the plan executed in the previous tick; NO_TRAJECTORY: none.
     """
-    beginning = begin_decision(bounds, memory, tick, here, IN_PLANE, committed)
+    beginning = begin_decision(bounds, memory, tick, own, IN_PLANE, committed)
     begins = tick + bounds.delay_ticks
     u_x, u_y, source = choose_control(
         bounds, memory.discs, memory.plan, begins, beginning.ahead, u_x, u_y
     )
-    end_decision(bounds, memory, tick, here, beginning, (u_x, u_y), source)
+    end_decision(bounds, memory, tick, own, beginning, (u_x, u_y), source)

@@ -165,20 +165,20 @@ def add_disc(
         True if it is consistent with the others: no two may be farther apart than $2\epsilon + v_g |t_i - t_j|$.
         Otherwise eps or v_g exceeds its declared value.
     """
-    agrees, place, worst, largest = True, -1, -1, -math.inf
+    agrees, row, worst, largest = True, -1, -1, -math.inf
     newest = newest_disc(discs)
     dominated = False
     for k in range(discs.shape[0]):
         kept = discs[k]
         if kept.tick == NEVER:
-            place = k
+            row = k
             continue
         apart, driven = norm(kept.x - new.x, kept.y - new.y), drift(bounds, new.tick - kept.tick)
         if apart > 2.0 * bounds.placed_error + abs(driven) + MARGIN:
             agrees = False
         if apart <= driven and new.tick > kept.tick:  # the kept disc contains the new one
             discs[k].tick = NEVER
-            place = k
+            row = k
         elif apart <= -driven:
             dominated = True
         else:
@@ -187,19 +187,19 @@ def add_disc(
                 worst, largest = k, bound
     if dominated:
         return agrees
-    if place < 0:
-        own = norm(p_x - new.x, p_y - new.y) + new.radius + drift(bounds, tick - new.tick)
-        if worst < 0 or (own >= largest and new.tick <= discs[newest].tick):
+    if row < 0:
+        new_bound = norm(p_x - new.x, p_y - new.y) + new.radius + drift(bounds, tick - new.tick)
+        if worst < 0 or (new_bound >= largest and new.tick <= discs[newest].tick):
             return agrees
-        place = worst
-    row = discs[place]
-    row.x, row.y, row.radius, row.tick = new.x, new.y, new.radius, new.tick
+        row = worst
+    disc = discs[row]
+    disc.x, disc.y, disc.radius, disc.tick = new.x, new.y, new.radius, new.tick
     return agrees
 
 
 @compiled
 def known_discs(
-    bounds: SafetyBounds, discs: RecordArray, end: Disc, newest: int, tick: int, here: State
+    bounds: SafetyBounds, discs: RecordArray, end: Disc, newest: int, tick: int, own: State
 ) -> KnownDiscs:
     """Return the discs that best bound the distance from a state at a tick.
 
@@ -209,9 +209,9 @@ def known_discs(
         end: Disc around the end of the last plan.
         newest: Row of the newest measurement.
         tick: Tick of the state.
-        here: State of the UAV at that tick.
+        own: State of the UAV at that tick.
     """
-    near = nearest(bounds, discs, tick, here.p_x, here.p_y)
+    near = nearest(bounds, discs, tick, own.p_x, own.p_y)
     return KnownDiscs(disc_in(discs, newest), disc_in(discs, near), end, near == newest)
 
 

@@ -105,7 +105,7 @@ def trajectory_stays_within(
         return False
     ticks = 2 * slowest[0] + slowest[1]
     if 0.5 * (radius + distance + rho) <= limit - drift * ticks:
-        # The smaller of two bounds is at most their mean, which is constant along the way.
+        # The smaller of two bounds is at most their mean, which is constant along the path.
         return True
     least = 1 + (ticks - 1) // _MOST_TIMES
     first, span = 1, least
@@ -157,8 +157,8 @@ def handover_bound(bounds: SafetyBounds, radius: float) -> float:
 def _distance_fits(bounds: SafetyBounds, k: int, radius: float) -> bool:
     """Return whether all trajectories over k steps stay within r_v, or no detection is as far; see `unfit_distance`."""
     b, step = bounds, max(_GRID, bounds.radius / _STEPS)
-    distance, reach = k * step, handover_bound(bounds, radius)
-    rest = min(largest_disc(b), reach + 2.0 * b.placed_error - distance + step)
+    distance, bound = k * step, handover_bound(bounds, radius)
+    rest = min(largest_disc(b), bound + 2.0 * b.placed_error - distance + step)
     if rest < 0.0 or radius + rest < distance - step:
         return True
     last_turn, last_cruise, _ = rest_to_rest((k - 1) * step, b.v_a, b.u_a, b.dt)
@@ -230,16 +230,16 @@ def handover_radius(bounds: SafetyBounds) -> float:
 @functools.lru_cache(maxsize=1024)
 def certificate(bounds: SafetyBounds) -> SafetyBounds:
     """Add R_h, E and `valid` to declared bounds; R_h and E are NaN without a hand-over."""
-    b, radius, reach = bounds, math.nan, math.nan
+    b, radius, bound = bounds, math.nan, math.nan
     finite = all(
         math.isfinite(x) for x in (b.radius, b.v_a, b.v_g, b.placed_error, b.max_measurement_age)
     )
     if finite and 0.0 <= b.v_g < b.v_a and b.u_a > 0.0:
         radius = float(handover_radius(b))
-        reach = float(handover_bound(b, radius))
+        bound = float(handover_bound(b, radius))
     valid = not math.isnan(radius) and not _declared_faults(b)
     return b._replace(
-        radius=b.radius - MARGIN, handover_radius=radius, handover_bound=reach, valid=valid
+        radius=b.radius - MARGIN, handover_radius=radius, handover_bound=bound, valid=valid
     )
 
 

@@ -63,24 +63,26 @@ def radius_at(briefing: UavBriefing, z: float) -> float:
 
 def clear_altitude(briefing: UavBriefing) -> float:
     """Return the altitude that clears every roof despite rounding [m]; minus infinity if there are no buildings."""
-    own, roofs = briefing.altitude, briefing.max_building_height
+    limits, roofs = briefing.altitude, briefing.max_building_height
     return (
-        -math.inf if own is None or roofs is None else roofs + own.vertical_clearance + FLOOR_MARGIN
+        -math.inf
+        if limits is None or roofs is None
+        else roofs + limits.vertical_clearance + FLOOR_MARGIN
     )
 
 
 def least_altitude(briefing: UavBriefing) -> float:
     """Return the lowest altitude that clears every building [m]."""
-    own = briefing.altitude
-    return -math.inf if own is None else max(own.min_altitude, clear_altitude(briefing))
+    limits = briefing.altitude
+    return -math.inf if limits is None else max(limits.min_altitude, clear_altitude(briefing))
 
 
 @functools.lru_cache(maxsize=256)
 def _levels(briefing: UavBriefing) -> tuple[SafetyBounds, ...]:
-    own = briefing.altitude
-    if own is None:
+    limits = briefing.altitude
+    if limits is None:
         return (bounds_at(briefing),)
-    low, high = least_altitude(briefing), own.max_altitude
+    low, high = least_altitude(briefing), limits.max_altitude
     top = bounds_at(briefing, high)
     if low > high or not top.valid:
         # nothing is certified, but the filter still keeps the UAV above the buildings
@@ -104,8 +106,8 @@ def _levels(briefing: UavBriefing) -> tuple[SafetyBounds, ...]:
         if found and not bounds.handover_radius >= found[-1].handover_radius:  # smaller, or NaN
             # found in steps: a hand-over radius also holds for every larger visibility radius
             radius = found[-1].handover_radius
-            reach = float(handover_bound(bounds, radius))
-            bounds = bounds._replace(handover_radius=radius, handover_bound=reach, valid=True)
+            bound = float(handover_bound(bounds, radius))
+            bounds = bounds._replace(handover_radius=radius, handover_bound=bound, valid=True)
         found.append(bounds)
     return tuple(found)
 

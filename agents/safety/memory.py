@@ -110,8 +110,8 @@ def reset_memory(memory: FilterMemory) -> None:
         disc.x, disc.y, disc.radius, disc.tick = 0.0, 0.0, 0.0, NEVER
     clear_trajectories(memory.plan)
     for k in range(memory.track.shape[0]):
-        place = memory.track[k]
-        place.x, place.y, place.tick = 0.0, 0.0, NEVER
+        row = memory.track[k]
+        row.x, row.y, row.tick = 0.0, 0.0, NEVER
     flags = memory.flags[0]
     flags.contradicted, flags.tick, flags.from_start = 0, NEVER, 0
     reset_pending(memory.pending)
@@ -125,8 +125,8 @@ def reset_memory(memory: FilterMemory) -> None:
 @compiled
 def add_position(memory: FilterMemory, tick: int, p_x: float, p_y: float) -> None:
     """Record the UAV's position at this tick [m], for detections of this tick that arrive later."""
-    place = memory.track[tick % memory.track.shape[0]]
-    place.x, place.y, place.tick = p_x, p_y, tick
+    row = memory.track[tick % memory.track.shape[0]]
+    row.x, row.y, row.tick = p_x, p_y, tick
 
 
 @compiled
@@ -136,7 +136,7 @@ def add_measurement(
     taken: int,
     relative: tuple[float, float],
     tick: int,
-    here: State,
+    own: State,
 ) -> None:
     """Add a detection, in any order of arrival. Without a recorded own position of its tick it is ignored.
 
@@ -146,7 +146,7 @@ def add_measurement(
         taken: Tick of the detection.
         relative: Detected p_a - p_g at that tick [m].
         tick: Current tick.
-        here: Current state of the UAV.
+        own: Current state of the UAV.
     """
     was = memory.track[taken % memory.track.shape[0]]
     if taken < 0 or was.tick != taken:
@@ -154,7 +154,7 @@ def add_measurement(
     z_x, _ = within_walls(was.x - relative[0], 0.0, bounds.width)  # the UGV is in the area
     z_y, _ = within_walls(was.y - relative[1], 0.0, bounds.height)
     disc = Disc(z_x, z_y, bounds.placed_error, taken)
-    if not add_disc(bounds, memory.discs, disc, tick, here.p_x, here.p_y):
+    if not add_disc(bounds, memory.discs, disc, tick, own.p_x, own.p_y):
         memory.flags[0].contradicted = 1
 
 

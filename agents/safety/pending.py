@@ -125,27 +125,27 @@ def _receive_flown(pending: PendingCommands, tick: int, committed: int) -> None:
 
 
 @compiled
-def _off_by(here: State, height: Height, due: ExpectedState) -> float:
+def _off_by(own: State, height: Height, due: ExpectedState) -> float:
     """Return the largest deviation of a state from the expected one [m, m/s]."""
-    off = max(abs(here.p_x - due.p_x), abs(here.p_y - due.p_y))
-    off = max(off, abs(here.v_x - due.v_x), abs(here.v_y - due.v_y))
+    off = max(abs(own.p_x - due.p_x), abs(own.p_y - due.p_y))
+    off = max(off, abs(own.v_x - due.v_x), abs(own.v_y - due.v_y))
     return max(off, abs(height.z - due.z), abs(height.rate - due.rate))
 
 
 @compiled
 def is_expected(
-    pending: PendingCommands, tick: int, here: State, height: Height, committed: int
+    pending: PendingCommands, tick: int, own: State, height: Height, committed: int
 ) -> bool:
     """Return whether the UAV is in the state that the reported trajectory implies."""
     due = pending.expected[STARTED if committed == tick - 1 else LOST]
-    return bool(_off_by(here, height, due) <= AS_EXPECTED)
+    return bool(_off_by(own, height, due) <= AS_EXPECTED)
 
 
 @compiled
 def receive_observation(
     pending: PendingCommands,
     tick: int,
-    here: State,
+    own: State,
     height: Height,
     committed: int,
     last_tick: int,
@@ -155,14 +155,14 @@ def receive_observation(
     Args:
         pending: Changed in place.
         tick: Current tick.
-        here: Current state of the UAV.
+        own: Current state of the UAV.
         height: Its altitude and climb rate; IN_PLANE if it has none.
         committed: First tick of the plan executed in the previous tick; NO_TRAJECTORY: none.
         last_tick: Last tick that this pilot answered; negative: none yet.
     """
     first = last_tick < 0
     answered = last_tick == tick - 1
-    expected = first or (answered and is_expected(pending, tick, here, height, committed))
+    expected = first or (answered and is_expected(pending, tick, own, height, committed))
     if not expected:
         mark_unchecked(pending)
     _receive_flown(pending, tick, committed)
@@ -171,7 +171,7 @@ def receive_observation(
 
 @compiled
 def predict(
-    bounds: SafetyBounds, pending: PendingCommands, tick: int, here: State
+    bounds: SafetyBounds, pending: PendingCommands, tick: int, own: State
 ) -> tuple[State, bool, int]:
     """Predict the UAV's state when the plan of this tick's command begins.
 
@@ -192,10 +192,10 @@ def predict(
         if follow_on(pending.sent, ahead, tick + k):
             next_begins = min(next_begins, tick + k)
             checked = checked and ahead[0].checked == 1
-        u_x, u_y = trajectory_command(ahead[0], here.v_x, here.v_y, c.u_a, c.dt)
-        here, _ = step_in_area(c, here, u_x, u_y)
+        u_x, u_y = trajectory_command(ahead[0], own.v_x, own.v_y, c.u_a, c.dt)
+        own, _ = step_in_area(c, own, u_x, u_y)
         ahead[0].age += 1
-    return here, checked, waited(next_begins, pending.committed[COMMITTED].begins, c.delay_ticks)
+    return own, checked, waited(next_begins, pending.committed[COMMITTED].begins, c.delay_ticks)
 
 
 @compiled
@@ -206,13 +206,13 @@ def update_plan(pending: PendingCommands, plan: RecordArray) -> None:
     """
     last = end_disc(plan)
     plan[0] = pending.committed[PREDICTED]
-    held = plan[0]
-    behind = max(0, held.age - 1)
-    turn, cruise = held.turn, held.cruise
-    held.turn, behind = max(0, turn - behind), max(0, behind - turn)
-    held.cruise, behind = max(0, cruise - behind), max(0, behind - cruise)
-    held.brake = max(0, held.brake - behind)
-    if held.end_radius == math.inf:
+    backup = plan[0]
+    behind = max(0, backup.age - 1)
+    turn, cruise = backup.turn, backup.cruise
+    backup.turn, behind = max(0, turn - behind), max(0, behind - turn)
+    backup.cruise, behind = max(0, cruise - behind), max(0, behind - cruise)
+    backup.brake = max(0, backup.brake - behind)
+    if backup.end_radius == math.inf:
         set_end(plan, last)
 
 
@@ -228,10 +228,10 @@ def _rests(rows: RecordArray, k: int) -> bool:
 
 @compiled
 def _check_rest(
-    rows: RecordArray, k: int, tick: int, here: State, radius: float, floor: float
+    rows: RecordArray, k: int, tick: int, own: State, radius: float, floor: float
 ) -> None:
     rows[k].checked, rows[k].floor = 1, floor
-    set_end(rows[k : k + 1], Disc(here.p_x, here.p_y, radius, tick))
+    set_end(rows[k : k + 1], Disc(own.p_x, own.p_y, radius, tick))
 
 
 @compiled
@@ -241,7 +241,7 @@ def check_rest(
     discs: RecordArray,
     plan: RecordArray,
     tick: int,
-    here: State,
+    own: State,
 ) -> None:
     """Check a UAV at rest as a plan once there is a measurement, until a plan moves the UAV.
 
@@ -251,20 +251,20 @@ def check_rest(
         discs: Kept discs. Shape (rows,).
         plan: Current plan. Shape (1,).
         tick: Current tick.
-        here: Current state of the UAV.
+        own: Current state of the UAV.
     """
     if pending.committed[COMMITTED].checked == 1 or not _rests(pending.committed, COMMITTED):
         return
-    radius = rest_radius(bounds, discs, plan, tick, here, bounds.delay_ticks)
+    radius = rest_radius(bounds, discs, plan, tick, own, bounds.delay_ticks)
     if radius == math.inf:
         return
-    _check_rest(pending.committed, COMMITTED, tick, here, radius, bounds.floor)
+    _check_rest(pending.committed, COMMITTED, tick, own, radius, bounds.floor)
     for begins in range(tick, tick + bounds.delay_ticks):
-        place = begins % pending.sent.shape[0]
-        if pending.sent[place].begins == begins:
-            if not _rests(pending.sent, place):
+        row = begins % pending.sent.shape[0]
+        if pending.sent[row].begins == begins:
+            if not _rests(pending.sent, row):
                 return
-            _check_rest(pending.sent, place, tick, here, radius, bounds.floor)
+            _check_rest(pending.sent, row, tick, own, radius, bounds.floor)
 
 
 @compiled
@@ -273,7 +273,7 @@ def send_plan(
     pending: PendingCommands,
     plan: RecordArray,
     tick: int,
-    here: State,
+    own: State,
     first: tuple[float, float],
     checked: bool,
 ) -> None:
@@ -284,24 +284,24 @@ def send_plan(
         pending: Changed in place.
         plan: Trajectory after the first tick. Shape (1,).
         tick: Current tick.
-        here: Current state of the UAV.
+        own: Current state of the UAV.
         first: Acceleration of the first tick [m/s²].
         checked: True if the plan is checked; otherwise the vehicle brakes to rest after the first tick.
     """
     begins = tick + bounds.delay_ticks
-    place = begins % pending.sent.shape[0]
-    pending.sent[place] = plan[0] if checked else NO_CHECKED[0]
-    row = pending.sent[place]
-    row.begins, row.parent = begins, pending.committed[PREDICTED].begins
-    row.acceleration[0], row.acceleration[1] = first
-    row.age, row.arrived, row.plain = 0, 0, 0
+    row = begins % pending.sent.shape[0]
+    pending.sent[row] = plan[0] if checked else NO_CHECKED[0]
+    sent = pending.sent[row]
+    sent.begins, sent.parent = begins, pending.committed[PREDICTED].begins
+    sent.acceleration[0], sent.acceleration[1] = first
+    sent.age, sent.arrived, sent.plain = 0, 0, 0
     ahead = pending.committed[PREDICTED : PREDICTED + 1]
     for k in (LOST, STARTED):
         ahead[0] = pending.committed[COMMITTED]
         if k == STARTED:
             follow_on(pending.sent, ahead, tick)
-        w_x, w_y = trajectory_command(ahead[0], here.v_x, here.v_y, bounds.u_a, bounds.dt)
-        there, _ = step_in_area(bounds, here, w_x, w_y)
+        w_x, w_y = trajectory_command(ahead[0], own.v_x, own.v_y, bounds.u_a, bounds.dt)
+        there, _ = step_in_area(bounds, own, w_x, w_y)
         expect(pending, k, there, IN_PLANE)
 
 

@@ -3,6 +3,7 @@
 from collections import Counter
 from typing import Any
 
+from agents.safety.altitude import Acceleration
 from agents.safety.control import filter_control, record_measurements
 from agents.safety.handover import check_assumptions
 from agents.safety.levels import bounds_of, levels_of
@@ -82,16 +83,16 @@ class SafetyFilter:
             vertical: Its nominal vertical acceleration, if it has an altitude [m/s²].
         """
         u_x, u_y = acceleration
-        return self.decide(self._inputs(observation), (u_x, u_y, vertical))
+        return self.decide(self._inputs(observation), Acceleration(u_x, u_y, vertical))
 
     def _inputs(self, observation: UavObservation) -> UavInputs:
         detections = detection_rows(observation.detections, self.bounds.dt)
         return uav_inputs(observation, detections, vertical=self._vertical)
 
-    def decide(self, inputs: UavInputs, nominal: tuple[float, float, float]) -> FilterDecision:
-        """Decide on the nominal acceleration [m/s²], as `filter` does, after `record_measurements`."""
-        u_x, u_y, u_z = map(float, nominal)
-        filter_control(self.rows, self._levels, self.memory, inputs, (u_x, u_y, u_z))
+    def decide(self, inputs: UavInputs, nominal: Acceleration) -> FilterDecision:
+        """Decide on the nominal acceleration, as `filter` does, after `record_measurements`."""
+        floats = Acceleration(*map(float, nominal))
+        filter_control(self.rows, self._levels, self.memory, inputs, floats)
         decision = decision_of(self.memory.decision[0])
         self.ticks += 1
         self.overridden += decision.overridden
@@ -103,5 +104,5 @@ class SafetyFilter:
         """Return the plans of this tick's command: earlier ones that may be missing, then its own."""
         sent, last = self.memory.pending.sent, tick + self.bounds.delay_ticks
         count = carried(self.bounds, self.memory.pending, tick)
-        places = [begins % len(sent) for begins in range(last - count + 1, last + 1)]
-        return tuple(struct_of(BackupTrajectory, sent[place]) for place in places)
+        rows = [begins % len(sent) for begins in range(last - count + 1, last + 1)]
+        return tuple(struct_of(BackupTrajectory, sent[row]) for row in rows)

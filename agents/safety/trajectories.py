@@ -37,7 +37,7 @@ _SPEEDS = (1.0, 0.6, 0.35, 0.2)
 
 @compiled
 def servo(
-    here: State, z_x: float, z_y: float, v_a: float, u_a: float, dt: float
+    own: State, z_x: float, z_y: float, v_a: float, u_a: float, dt: float
 ) -> tuple[float, float]:
     r"""Return the acceleration that flies to z and stops there [m/s²].
 
@@ -45,46 +45,59 @@ def servo(
 
     s is the speed from which the UAV stops at z, at most v_a. This is the best effort if nothing is certified.
     """
-    x, y = z_x - here.p_x, z_y - here.p_y
+    x, y = z_x - own.p_x, z_y - own.p_y
     distance = norm(x, y)
     speed = (
         min(v_a, speed_to_stop_within(distance, u_a, dt)) / distance
         if distance > _ON_THE_SPOT
         else 0.0
     )
-    return clip_norm((speed * x - here.v_x) / dt, (speed * y - here.v_y) / dt, u_a)
+    return clip_norm((speed * x - own.v_x) / dt, (speed * y - own.v_y) / dt, u_a)
 
 
 @compiled
 def end_disc(plan: RecordArray) -> Disc:
     """Return the disc around the end of the last plan that contained the UGV; infinite before the first plan."""
-    held = plan[0]
-    return Disc(held.end[0], held.end[1], held.end_radius, held.end_tick)
+    backup = plan[0]
+    return Disc(backup.end[0], backup.end[1], backup.end_radius, backup.end_tick)
 
 
 @compiled
 def set_end(plan: RecordArray, disc: Disc) -> None:
     """Set the disc around the end of a plan. `plan` has shape (1,)."""
-    held = plan[0]
-    held.end[0], held.end[1] = disc.x, disc.y
-    held.end_radius, held.end_tick = disc.radius, disc.tick
+    backup = plan[0]
+    backup.end[0], backup.end[1] = disc.x, disc.y
+    backup.end_radius, backup.end_tick = disc.radius, disc.tick
+
+
+class _PlanTicks(NamedTuple):
+    """Ticks of the parts of a plan."""
+
+    turn: int
+    cruise: int
+    brake: int
 
 
 @compiled
-def _hold(
+def _store_plan(
     plan: RecordArray,
-    ticks: tuple[int, int, int],
+    ticks: _PlanTicks,
     turning: tuple[float, float],
     braking: tuple[float, float],
     end: Disc,
     floor: float,
 ) -> None:
-    """Hold a checked plan: the ticks of its turn, cruise and brake, its accelerations [m/s²] and its floor [m]."""
-    held = plan[0]
-    held.checked, held.turn, held.cruise, held.brake = 1, ticks[0], ticks[1], ticks[2]
-    held.turning[0], held.turning[1] = turning
-    held.braking[0], held.braking[1] = braking
-    held.floor = floor
+    """Store a checked plan: its ticks, its accelerations [m/s²], its end and its floor [m]."""
+    backup = plan[0]
+    backup.checked, backup.turn, backup.cruise, backup.brake = (
+        1,
+        ticks.turn,
+        ticks.cruise,
+        ticks.brake,
+    )
+    backup.turning[0], backup.turning[1] = turning
+    backup.braking[0], backup.braking[1] = braking
+    backup.floor = floor
     set_end(plan, end)
 
 
@@ -110,34 +123,41 @@ def stop_from(
     known: KnownDiscs,
     plan: RecordArray,
     tick: int,
-    here: State,
+    own: State,
     least: int = 0,
 ) -> bool:
-    """Hold the plan to brake to a stop from this state; return False, without changes, if it is not safe.
+    """Store the plan to brake to a stop from this state; return False, without changes, if it is not safe.
 
     A plan that begins in this tick lasts for at least `least` ticks: no other plan begins earlier.
 
     On a straight line with decreasing speed, the bound is largest at one of the ends: the distance to a fixed point is
     convex in the distance flown, and the distance flown concave in time.
     """
-    speed = norm(here.v_x, here.v_y)
+    speed = norm(own.v_x, own.v_y)
     ticks = 0
     if speed > RESIDUE:
         ticks = max(1, math.ceil(speed / (bounds.u_a * bounds.dt) - ROUNDING))
     duration = ticks * bounds.dt
     share = -1.0 / duration if ticks else 0.0
-    a_x, a_y = share * here.v_x, share * here.v_y
-    x, y = here.p_x + 0.5 * here.v_x * duration, here.p_y + 0.5 * here.v_y * duration
-    if not is_in_area(bounds, here.p_x, here.p_y):
+    a_x, a_y = share * own.v_x, share * own.v_y
+    x, y = own.p_x + 0.5 * own.v_x * duration, own.p_y + 0.5 * own.v_y * duration
+    if not is_in_area(bounds, own.p_x, own.p_y):
         return False
-    if ticks and not stays_in_area(bounds, here, a_x, a_y, duration):
+    if ticks and not stays_in_area(bounds, own, a_x, a_y, duration):
         return False
     radius = _end_radius(bounds, known, tick, x, y, max(ticks, least))
     if radius == math.inf:
         return False
-    if not farthest(bounds, known, tick, here.p_x, here.p_y, bounds.radius) <= bounds.radius:
+    if not farthest(bounds, known, tick, own.p_x, own.p_y, bounds.radius) <= bounds.radius:
         return False
-    _hold(plan, (0, 0, ticks), (0.0, 0.0), (a_x, a_y), Disc(x, y, radius, tick), bounds.floor)
+    _store_plan(
+        plan,
+        _PlanTicks(0, 0, ticks),
+        (0.0, 0.0),
+        (a_x, a_y),
+        Disc(x, y, radius, tick),
+        bounds.floor,
+    )
     return True
 
 
@@ -146,7 +166,7 @@ def _turn_is_safe(
     bounds: SafetyBounds,
     known: KnownDiscs,
     tick: int,
-    here: State,
+    own: State,
     a_x: float,
     a_y: float,
     ticks: int,
@@ -158,8 +178,8 @@ def _turn_is_safe(
     k = 0
     while k <= ticks:
         s = k * bounds.dt
-        x = here.p_x + (here.v_x + 0.5 * a_x * s) * s
-        y = here.p_y + (here.v_y + 0.5 * a_y * s) * s
+        x = own.p_x + (own.v_x + 0.5 * a_x * s) * s
+        y = own.p_y + (own.v_y + 0.5 * a_y * s) * s
         most = bounds.radius - bounds.v_g * s
         room = most - farthest(bounds, known, tick, x, y, most)
         if not room >= 0.0:
@@ -185,32 +205,32 @@ class _Return(NamedTuple):
 
 @compiled
 def _return_from_rest(
-    bounds: SafetyBounds, here: State, z_x: float, z_y: float, speed: float
+    bounds: SafetyBounds, own: State, z_x: float, z_y: float, speed: float
 ) -> _Return:
     """Return the trajectory to z [m] from rest, at most at this speed [m/s]."""
-    x, y = z_x - here.p_x, z_y - here.p_y
+    x, y = z_x - own.p_x, z_y - own.p_y
     distance = norm(x, y)
     turn, cruise, speed = rest_to_rest(distance, speed, bounds.u_a, bounds.dt)
     w_x, w_y = (speed * x / distance, speed * y / distance) if turn else (0.0, 0.0)
-    return _Return(turn, cruise, turn, w_x, w_y, here.p_x, here.p_y)
+    return _Return(turn, cruise, turn, w_x, w_y, own.p_x, own.p_y)
 
 
 @compiled
-def _return_in_motion(
-    bounds: SafetyBounds, here: State, z_x: float, z_y: float, speed: float
+def _return_while_moving(
+    bounds: SafetyBounds, own: State, z_x: float, z_y: float, speed: float
 ) -> _Return:
     """Return the trajectory to z [m] at this speed [m/s]; heading and end of the turn are found by iteration."""
     stop = max(1, math.ceil(speed / (bounds.u_a * bounds.dt) - ROUNDING))
-    q_x, q_y, w_x, w_y, turn = here.p_x, here.p_y, 0.0, 0.0, 0
+    q_x, q_y, w_x, w_y, turn = own.p_x, own.p_y, 0.0, 0.0, 0
     for _ in range(4):
         distance = norm(z_x - q_x, z_y - q_y)
         if distance <= _ON_THE_SPOT:
             return _Return(turn, -1, stop, w_x, w_y, q_x, q_y)
         w_x, w_y = speed * (z_x - q_x) / distance, speed * (z_y - q_y) / distance
-        change = norm(w_x - here.v_x, w_y - here.v_y)
+        change = norm(w_x - own.v_x, w_y - own.v_y)
         turn = max(1, math.ceil(change / (bounds.u_a * bounds.dt) - ROUNDING))
-        q_x = here.p_x + 0.5 * (here.v_x + w_x) * turn * bounds.dt
-        q_y = here.p_y + 0.5 * (here.v_y + w_y) * turn * bounds.dt
+        q_x = own.p_x + 0.5 * (own.v_x + w_x) * turn * bounds.dt
+        q_y = own.p_y + 0.5 * (own.v_y + w_y) * turn * bounds.dt
     along = (z_x - q_x) * w_x + (z_y - q_y) * w_y
     left = along / (speed * speed * bounds.dt) - 0.5 * stop  # ticks at constant speed
     return _Return(turn, int(left) if left >= 0.0 else -1, stop, w_x, w_y, q_x, q_y)
@@ -222,57 +242,57 @@ def _return_at(
     known: KnownDiscs,
     plan: RecordArray,
     tick: int,
-    here: State,
+    own: State,
     speed: float,
 ) -> bool:
-    """Hold the plan of `return_from` at one speed [m/s]."""
-    if not is_in_area(bounds, here.p_x, here.p_y):
+    """Store the plan of `return_from` at one speed [m/s]."""
+    if not is_in_area(bounds, own.p_x, own.p_y):
         return False
     z_x = off_walls(known.newest.x, bounds.width)
     z_y = off_walls(known.newest.y, bounds.height)
-    at_rest = norm(here.v_x, here.v_y) <= REST
+    at_rest = norm(own.v_x, own.v_y) <= REST
     if at_rest:
-        trajectory = _return_from_rest(bounds, here, z_x, z_y, speed)
+        trajectory = _return_from_rest(bounds, own, z_x, z_y, speed)
     else:
-        trajectory = _return_in_motion(bounds, here, z_x, z_y, speed)
+        trajectory = _return_while_moving(bounds, own, z_x, z_y, speed)
     turn, cruise, stop, w_x, w_y, q_x, q_y = trajectory
     if cruise < 0:
         return False
     level = (0.5 * turn + cruise + 0.5 * stop) * bounds.dt
-    end_x = here.p_x + 0.5 * here.v_x * turn * bounds.dt + w_x * level
-    end_y = here.p_y + 0.5 * here.v_y * turn * bounds.dt + w_y * level
+    end_x = own.p_x + 0.5 * own.v_x * turn * bounds.dt + w_x * level
+    end_y = own.p_y + 0.5 * own.v_y * turn * bounds.dt + w_y * level
     radius = _end_radius(bounds, known, tick, end_x, end_y, turn + cruise + stop)
     if radius == math.inf:
         return False
     a_x, a_y = 0.0, 0.0
     if turn:
-        a_x, a_y = (w_x - here.v_x) / (turn * bounds.dt), (w_y - here.v_y) / (turn * bounds.dt)
-    if not stays_in_area(bounds, here, a_x, a_y, turn * bounds.dt):
+        a_x, a_y = (w_x - own.v_x) / (turn * bounds.dt), (w_y - own.v_y) / (turn * bounds.dt)
+    if not stays_in_area(bounds, own, a_x, a_y, turn * bounds.dt):
         return False
     if not at_rest:  # from rest, the trajectory is a chord of the area
         chord = State(q_x, q_y, end_x - q_x, end_y - q_y)
         if not stays_in_area(bounds, chord, 0.0, 0.0, 1.0):
             return False
-    if not _turn_is_safe(bounds, known, tick, here, a_x, a_y, turn):
+    if not _turn_is_safe(bounds, known, tick, own, a_x, a_y, turn):
         return False
     b_x, b_y = (-w_x / (stop * bounds.dt), -w_y / (stop * bounds.dt)) if stop else (0.0, 0.0)
     end = Disc(end_x, end_y, radius, tick)
-    _hold(plan, (turn, cruise, stop), (a_x, a_y), (b_x, b_y), end, bounds.floor)
+    _store_plan(plan, _PlanTicks(turn, cruise, stop), (a_x, a_y), (b_x, b_y), end, bounds.floor)
     return True
 
 
 @compiled
 def return_from(
-    bounds: SafetyBounds, known: KnownDiscs, plan: RecordArray, tick: int, here: State
+    bounds: SafetyBounds, known: KnownDiscs, plan: RecordArray, tick: int, own: State
 ) -> bool:
-    """Hold the plan to turn to the newest measurement, fly there and stop, from this state at a tick.
+    """Store the plan to turn to the newest measurement, fly there and stop, from this state at a tick.
 
     Return False, without changes, if it is not safe. The turn changes the velocity along a straight line to the one
     that leads from the end of the turn to the measurement; both ends keep the speed bound, so all of it does. The rest
     of the trajectory is straight, and the bound is largest at one of its ends.
     """
     for share in _SPEEDS:  # noqa: SIM110 - numba compiles no generator expression
-        if _return_at(bounds, known, plan, tick, here, share * bounds.v_a):
+        if _return_at(bounds, known, plan, tick, own, share * bounds.v_a):
             return True
     return False
 
@@ -283,16 +303,16 @@ def follow(bounds: SafetyBounds, plan: RecordArray, v_x: float, v_y: float) -> t
 
     After the end of the plan the UAV rests.
     """
-    held = plan[0]
-    if held.turn > 0:
-        held.turn -= 1
-        return held.turning[0], held.turning[1]
-    if held.cruise > 0:
-        held.cruise -= 1
+    backup = plan[0]
+    if backup.turn > 0:
+        backup.turn -= 1
+        return backup.turning[0], backup.turning[1]
+    if backup.cruise > 0:
+        backup.cruise -= 1
         return 0.0, 0.0
-    if held.brake > 0:
-        held.brake -= 1
-        return held.braking[0], held.braking[1]
+    if backup.brake > 0:
+        backup.brake -= 1
+        return backup.braking[0], backup.braking[1]
     return brake(v_x, v_y, bounds.u_a, bounds.dt)
 
 
@@ -302,7 +322,7 @@ def rest_radius(
     discs: RecordArray,
     plan: RecordArray,
     tick: int,
-    here: State,
+    own: State,
     ticks: int,
 ) -> float:
     """Return a bound on the UGV's distance from a resting UAV [m]; infinite if it may not rest there.
@@ -310,10 +330,10 @@ def rest_radius(
     The rest lasts for `ticks`, and then until the next plan begins.
     """
     newest = newest_disc(discs)
-    if newest < 0 or norm(here.v_x, here.v_y) > REST or not is_in_area(bounds, here.p_x, here.p_y):
+    if newest < 0 or norm(own.v_x, own.v_y) > REST or not is_in_area(bounds, own.p_x, own.p_y):
         return math.inf
-    known = known_discs(bounds, discs, end_disc(plan), newest, tick, here)
-    return _end_radius(bounds, known, tick, here.p_x, here.p_y, ticks)
+    known = known_discs(bounds, discs, end_disc(plan), newest, tick, own)
+    return _end_radius(bounds, known, tick, own.p_x, own.p_y, ticks)
 
 
 @compiled

@@ -98,7 +98,7 @@ def worst_distance(bounds: SafetyBounds, known: KnownDiscs, tick: int, x: float,
 
 @compiled
 def flow_value(
-    bounds: SafetyBounds, known: KnownDiscs, tick: int, spent: int, here: State, enough: float
+    bounds: SafetyBounds, known: KnownDiscs, tick: int, spent: int, start: State, enough: float
 ) -> float:
     """Return h_I [m] of the state of the UAV `spent` ticks from now.
 
@@ -109,7 +109,7 @@ def flow_value(
         h_I; with a finite `enough`, a number on the same side of it as h_I.
     """
     c = bounds
-    p_x, p_y, v_x, v_y = here
+    p_x, p_y, v_x, v_y = start
     z_x, z_y = known.newest.x, known.newest.y
     value, wait = math.inf, 0.0
     for k in range(math.ceil(_LONGEST / c.dt)):
@@ -126,8 +126,8 @@ def flow_value(
             wait = room - (value if enough == -math.inf else enough)
         if arrived:
             end = worst_distance(c, known, tick, p_x, p_y) + driven + _NEAR
-            reach = norm(p_x - z_x, p_y - z_y) + radius_at(c, known.newest, tick) + driven + _NEAR
-            return min(value, c.handover_radius - end, c.handover_bound - reach)
+            bound = norm(p_x - z_x, p_y - z_y) + radius_at(c, known.newest, tick) + driven + _NEAR
+            return min(value, c.handover_radius - end, c.handover_bound - bound)
         u_x, u_y = backup_policy(p_x, p_y, v_x, v_y, z_x, z_y, c.v_a, c.u_a, c.dt)
         p_x, p_y, v_x, v_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, c.v_a, c.u_a, c.dt)
         wait -= (c.v_a + c.v_g) * c.dt
@@ -139,7 +139,7 @@ def value_after(
     bounds: SafetyBounds,
     known: KnownDiscs,
     tick: int,
-    here: State,
+    start: State,
     u_x: float,
     u_y: float,
     enough: float,
@@ -148,7 +148,7 @@ def value_after(
 
     Other arguments as in `flow_value`, from the tick at which a command takes effect.
     """
-    c, (p_x, p_y, v_x, v_y) = bounds, here
+    c, (p_x, p_y, v_x, v_y) = bounds, start
     x, y, w_x, w_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, c.v_a, c.u_a, c.dt)
     return flow_value(c, known, tick, c.delay_ticks + 1, State(x, y, w_x, w_y), enough)
 
@@ -158,7 +158,7 @@ def filtered(
     bounds: SafetyBounds,
     discs: RecordArray,
     tick: int,
-    here: State,
+    start: State,
     u_x: float,
     u_y: float,
     gamma: float,
@@ -172,7 +172,7 @@ def filtered(
         bounds: Declared bounds.
         discs: Stored detections. Shape (KEPT,).
         tick: Current tick.
-        here: State at which the input takes effect.
+        start: State at which the input takes effect.
         u_x, u_y: Nominal input [m/s²].
         gamma: Share of h_I that one tick may use up, 0 to 1.
 
@@ -180,7 +180,7 @@ def filtered(
         The input [m/s²], true if it differs from the nominal one, and true if h_I >= 0 before.
     """
     c = bounds
-    p_x, p_y, v_x, v_y = here
+    p_x, p_y, v_x, v_y = start
     new = newest_disc(discs)
     near = nearest(c, discs, tick, p_x, p_y)
     known = KnownDiscs(
@@ -188,20 +188,20 @@ def filtered(
     )
     z = known.newest
     b_x, b_y = backup_policy(p_x, p_y, v_x, v_y, z.x, z.y, c.v_a, c.u_a, c.dt)
-    before = flow_value(c, known, tick, c.delay_ticks, here, 0.0)
+    before = flow_value(c, known, tick, c.delay_ticks, start, 0.0)
     if not before >= 0.0:
         return b_x, b_y, True, False
     if gamma < 1.0:
-        before = flow_value(c, known, tick, c.delay_ticks, here, -math.inf)
+        before = flow_value(c, known, tick, c.delay_ticks, start, -math.inf)
     least = (1.0 - gamma) * before
     u_x, u_y = clip_norm(u_x, u_y, c.u_a)
-    if value_after(c, known, tick, here, u_x, u_y, least) >= least:
+    if value_after(c, known, tick, start, u_x, u_y, least) >= least:
         return u_x, u_y, False, True
     low, high = 0.0, 1.0  # share of the distance from u to the backup's input
     for _ in range(_HALVINGS):
         share = 0.5 * (low + high)
         x, y = u_x + share * (b_x - u_x), u_y + share * (b_y - u_y)
-        if value_after(c, known, tick, here, x, y, least) >= least:
+        if value_after(c, known, tick, start, x, y, least) >= least:
             high = share
         else:
             low = share
@@ -212,12 +212,12 @@ def filtered(
         e_x, e_y = math.cos(angle), math.sin(angle)
         near_by, far = 0.0, 0.98 * best
         x, y = u_x + far * e_x, u_y + far * e_y
-        if norm(x, y) > c.u_a or not value_after(c, known, tick, here, x, y, least) >= least:
+        if norm(x, y) > c.u_a or not value_after(c, known, tick, start, x, y, least) >= least:
             continue
         for _ in range(_HALVINGS):
             middle = 0.5 * (near_by + far)
             x, y = u_x + middle * e_x, u_y + middle * e_y
-            if norm(x, y) <= c.u_a and value_after(c, known, tick, here, x, y, least) >= least:
+            if norm(x, y) <= c.u_a and value_after(c, known, tick, start, x, y, least) >= least:
                 far = middle
             else:
                 near_by = middle

@@ -96,7 +96,7 @@ def write(report: Report, out: Path) -> None:
     )
     (out / "peers.md").write_text(markdown(report), encoding="utf-8")
     if report.rows:
-        with style.look():
+        with style.plot_style():
             style.save(draw(report), out / "peers.png")
 
 
@@ -146,9 +146,9 @@ def where_faster(report: Report) -> list[str]:
     """Return sentences about peers faster than any of ours, for each number of worlds."""
     sentences: list[str] = []
     for worlds in sorted({row.worlds for row in report.rows}):
-        here = [row for row in report.rows if row.worlds == worlds]
-        ours = [row for row in here if row.peer == OURS]
-        peers = [row for row in here if row.peer != OURS]
+        compared = [row for row in report.rows if row.worlds == worlds]
+        ours = [row for row in compared if row.peer == OURS]
+        peers = [row for row in compared if row.peer != OURS]
         at = f"At {worlds_in_words(worlds)}"
         if not peers or not ours:
             sentences.append(
@@ -192,8 +192,8 @@ def draw(report: Report) -> Figure:
         _at_left(axes, y, title.capitalize(), weight="bold")
         y += 1.0
         for _, block in groupby(rows, key=lambda row: row.label):
-            for place, row in enumerate(block):
-                _draw_row(axes, row, y, named=place == 0)
+            for n, row in enumerate(block):
+                _draw_row(axes, row, y, named=n == 0)
                 ticks.append((y, worlds_in_words(row.worlds)))
                 y += 1.0
         y += 0.5
@@ -203,12 +203,12 @@ def draw(report: Report) -> Figure:
 
 def _at_left(axes: Axes, y: float, text: str, **font: str) -> None:
     """Write a text left of the number of worlds."""
-    place = {
+    offset = {
         "xycoords": axes.get_yaxis_transform(),
         "xytext": (-76, 0),
         "textcoords": "offset points",
     }
-    axes.annotate(text, (0.0, y), ha="right", va="center_baseline", **place, **font)
+    axes.annotate(text, (0.0, y), ha="right", va="center_baseline", **offset, **font)
 
 
 def _draw_row(axes: Axes, row: Row, y: float, *, named: bool) -> None:

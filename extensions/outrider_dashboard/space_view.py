@@ -98,11 +98,11 @@ class SpaceView:
                     html(_HEAD)
                     self._altitudes = ui.label().classes("muted")
                 with ui.element("div"):
-                    for name, look in (
+                    for name, on_click in (
                         ("Overview", self._look_at_all),
                         ("Pair", self._look_at_pair),
                     ):
-                        ui.button(name, on_click=look).props("flat dense")
+                        ui.button(name, on_click=on_click).props("flat dense")
             with ui.element("div").classes("space-place"):
                 self._view = ui.scene(
                     grid=False,
@@ -176,12 +176,12 @@ class SpaceView:
         drawn, z = self._uavs[escort.uav], altitudes[escort.uav]
         x, y = truth.vehicles[escort.uav].position
         drawn.body.move(x, y, z)
-        reach = next(
+        radius = next(
             ring_radius(scene, ring, altitudes)
             for ring in scene.rings
             if ring.symbol == "r" and ring.around == escort.uav
         )
-        drawn.cone.scale(reach, max(z, 1e-3), reach).move(x, y, 0.5 * z)
+        drawn.cone.scale(radius, max(z, 1e-3), radius).move(x, y, 0.5 * z)
         color = LIMIT if sight_of(escort, math.inf).lost else GOOD
         end = (*truth.vehicles[escort.ugv].position, scene.space.markers.get(escort.ugv, 0.0))
         _stretch(drawn.sight.material(color), (x, y, z), end)
@@ -218,9 +218,9 @@ class SpaceView:
 
 def _stretch(line: Cylinder, start: Vector3, end: Vector3) -> None:
     """Place a cylinder of length 1 along y between two points."""
-    way = tuple(b - a for a, b in zip(start, end, strict=True))
-    length = max(math.hypot(*way), 1e-6)
-    along = tuple(part / length for part in way)
+    offset = tuple(b - a for a, b in zip(start, end, strict=True))
+    length = max(math.hypot(*offset), 1e-6)
+    along = tuple(part / length for part in offset)
     flat = math.hypot(along[0], along[1])
     across = (along[1] / flat, -along[0] / flat, 0.0) if flat > 1e-9 else (1.0, 0.0, 0.0)
     third = (

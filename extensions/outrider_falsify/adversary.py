@@ -61,8 +61,8 @@ class Adversary:
         x, y = p_a[0] - p_g[0], p_a[1] - p_g[1]
         distance = math.hypot(x, y)
         outward = (v_a[0] * x + v_a[1] * y) / distance if distance > 0.0 else 0.0
-        motion = 0 if outward > c.fast else (2 if outward < -c.fast else 1)
-        angle, speed = c.table[motion + (3 if distance >= c.far else 0)]
+        kind = 0 if outward > c.fast else (2 if outward < -c.fast else 1)
+        angle, speed = c.table[kind + (3 if distance >= c.far else 0)]
         angle += math.atan2(-y, -x)
         return cut(speed * math.cos(angle), 4), cut(speed * math.sin(angle), 4)
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agents.safety.altitude import Acceleration
 from agents.safety.decision import CERTIFIED, NOMINAL
 from agents.safety.discs import certified_distance, newest_disc
 from agents.safety.memory import (
@@ -94,38 +95,38 @@ class Order(NamedTuple):
 @compiled
 def _receive(run: Run, view: View) -> Known:
     """Deliver arrived detections to the UAV and compare the certified distance with the true one."""
-    bounds, memory, here, tick = run.bounds, run.memory, view.here, view.tick
+    bounds, memory, uav, tick = run.bounds, run.memory, view.uav, view.tick
     result = run.results[0]
     if run.scratch.trouble[0].away == 0:
-        add_position(memory, tick, here.p_x, here.p_y)
+        add_position(memory, tick, uav.p_x, uav.p_y)
         for n in range(run.state.links[0, 0].arrived):
             packet = run.state.packets[0, 0, ARRIVED, n]
             taken, (d_x, d_y) = int(packet.stamp), packet.vector
             record_arrival(bounds, run.scratch.counts[0], taken, packet.error)
-            add_measurement(bounds, memory, taken, (d_x, d_y), tick, here)
+            add_measurement(bounds, memory, taken, (d_x, d_y), tick, uav)
     discs = memory.discs
     new = newest_disc(discs)
-    bound = certified_distance(bounds, discs, tick, here.p_x, here.p_y)
+    bound = certified_distance(bounds, discs, tick, uav.p_x, uav.p_y)
     result.max_distance = max(result.max_distance, view.distance)
     z_x, z_y = 0.0, 0.0
     if new >= 0:
         result.max_excess = max(result.max_excess, view.distance - bound)
         result.max_age = max(result.max_age, (tick - discs[new].tick) * bounds.dt)
-        z_x, z_y = here.p_x - discs[new].x, here.p_y - discs[new].y
+        z_x, z_y = uav.p_x - discs[new].x, uav.p_y - discs[new].y
     return Known(new, bound, z_x, z_y)
 
 
 @compiled
 def _filter(run: Run, view: View, u_x: float, u_y: float, u_z: float) -> Order:
     """Evaluate the filter unless it is off or disconnected; count its statement as the simulator does."""
-    conditions, memory, random, here = run.conditions, run.memory, run.random, view.here
+    conditions, memory, random, uav = run.conditions, run.memory, run.random, view.uav
     roles, trouble, counts = run.scratch.roles[0], run.scratch.trouble[0], run.scratch.counts[0]
     if conditions.disturbance == DISTURBANCES.law_changes and next_share(random) < 0.01:
         roles.filtering = not roles.filtering
         if roles.filtering:
             reset_memory(memory)
             reset_filter(counts)
-            add_position(memory, view.tick, here.p_x, here.p_y)
+            add_position(memory, view.tick, uav.p_x, uav.p_y)
     leaves = conditions.disturbance == DISTURBANCES.rejoins and trouble.away == 0
     if leaves and next_share(random) < 0.005:
         trouble.away = 1 + int(next_share(random) * 20)
@@ -135,8 +136,8 @@ def _filter(run: Run, view: View, u_x: float, u_y: float, u_z: float) -> Order:
             invalidate_plans(memory)
     elif roles.filtering:
         begins = run.state.flown[0, UAV, 0].begins
-        own, wanted = run.state.vehicles[0, UAV].vertical, (u_x, u_y, u_z)
-        filter_nominal(run.heights, run.bounds, memory, (view.tick, begins), here, own, wanted)
+        vertical, nominal = run.state.vehicles[0, UAV].vertical, Acceleration(u_x, u_y, u_z)
+        filter_nominal(run.heights, run.bounds, memory, (view.tick, begins), uav, vertical, nominal)
         decision = memory.decision[0]
         u_x, u_y = decision.acceleration[0], decision.acceleration[1]
         u_z = decision.vertical_acceleration
@@ -154,8 +155,8 @@ def _decide(run: Run, view: View, known: Known) -> Order:
     conditions = run.conditions
     u_x, u_y = nominal_command(run, view, known)
     if conditions.law == GUARDS.filter:
-        own = run.state.vehicles[0, UAV].vertical
-        u_z = nominal_climb(run.heights, run.scratch.roles, run.random, own)
+        vertical = run.state.vehicles[0, UAV].vertical
+        u_z = nominal_climb(run.heights, run.scratch.roles, run.random, vertical)
         return _filter(run, view, u_x, u_y, u_z)
     z_x, z_y = known.z_x, known.z_y
     far = norm(z_x, z_y) if conditions.law == GUARDS.paper else known.bound
@@ -163,7 +164,7 @@ def _decide(run: Run, view: View, known: Known) -> Order:
     if acted:
         discs, adversaries = run.memory.discs, run.scratch.adversaries
         u_x, u_y = switch_command(
-            conditions, run.bounds, discs, adversaries, view.tick, view.here, z_x, z_y
+            conditions, run.bounds, discs, adversaries, view.tick, view.uav, z_x, z_y
         )
     return Order(u_x, u_y, 0.0, acted, False, False, False)
 
@@ -203,7 +204,7 @@ def _drive(run: Run, view: View) -> None:
             roles.ugv = choose(random, conditions.ugv, len(UGVS))
     ugv.outgoing_tick = view.tick
     ugv.outgoing[0], ugv.outgoing[1] = ugv_command(
-        roles.ugv, view.x, view.y, view.here, moving.v_x, moving.v_y, adversaries, u_g
+        roles.ugv, view.x, view.y, view.uav, moving.v_x, moving.v_y, adversaries, u_g
     )
 
 

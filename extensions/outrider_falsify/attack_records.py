@@ -144,7 +144,7 @@ class View(NamedTuple):
     """The adversary's view of a tick."""
 
     tick: int
-    here: State
+    uav: State
     """Reference state of the UAV."""
     x: float
     y: float

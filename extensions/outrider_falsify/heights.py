@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from agents.safety.altitude import decide_in_space
+from agents.safety.altitude import Acceleration, decide_in_space
 from agents.safety.decision import decide
 from agents.safety.levels import bounds_at, levels_of
 from agents.safety.memory import FilterMemory
@@ -162,13 +162,13 @@ def draw_climb(random: RngState, max_acceleration: float) -> float:
 
 @compiled
 def nominal_climb(
-    heights: Heights | None, roles: RecordArray, random: RngState, own: VerticalState
+    heights: Heights | None, roles: RecordArray, random: RngState, vertical: VerticalState
 ) -> float:
     """Return the nominal vertical acceleration chosen by the adversary in the UAV [m/s²]; 0 in the plane."""
     if heights is None:
         return 0.0
     if next_share(random) < 0.04:
-        roles[0].climb = draw_climb(random, own.max_acceleration)
+        roles[0].climb = draw_climb(random, vertical.max_acceleration)
     climb: float = roles[0].climb
     return 0.0 if math.isnan(climb) else climb
 
@@ -179,20 +179,20 @@ def filter_nominal(
     bounds: SafetyBounds,
     memory: FilterMemory,
     times: tuple[int, int],
-    here: State,
-    own: VerticalState,
-    wanted: tuple[float, float, float],
+    own: State,
+    vertical: VerticalState,
+    nominal: Acceleration,
 ) -> None:
-    """Let the filter decide on the nominal accelerations `wanted` [m/s²].
+    """Let the filter decide on the nominal accelerations.
 
     Args:
         heights: Altitude of the UAV; None: it flies in the plane.
         bounds, memory: Bounds of the filter in the plane, and its memory.
         times: Tick, and first tick of the trajectory that the vehicle executes.
-        here, own: Horizontal and vertical state of the UAV.
-        wanted: Nominal acceleration, horizontal and vertical.
+        own, vertical: Horizontal and vertical state of the UAV.
+        nominal: Nominal acceleration.
     """
     if heights is None:
-        decide(bounds, memory, times[0], here, wanted[0], wanted[1], times[1])
+        decide(bounds, memory, times[0], own, nominal.x, nominal.y, times[1])
     else:
-        decide_in_space(heights.levels, memory, times[0], here, own, wanted, times[1])
+        decide_in_space(heights.levels, memory, times[0], own, vertical, nominal, times[1])

@@ -61,8 +61,8 @@ def _lose_trajectory(run: Run, view: View) -> bool:
     bounds, conditions, adversaries = run.bounds, run.conditions, run.scratch.adversaries
     tick, d_ticks = view.tick, bounds.delay_ticks
     allowed = int(conditions.max_command_interval / bounds.dt + TICK_TOLERANCE)
-    held, under = run.memory.plan[0], run.memory.pending.sent
-    left = held.turn + held.cruise + held.brake
+    backup, under = run.memory.plan[0], run.memory.pending.sent
+    left = backup.turn + backup.cruise + backup.brake
     pending = Pending(tick, d_ticks, allowed, view.distance / conditions.r_v, left)
     kind = run.scratch.roles[0].losses
     lost, adversaries[UAV].losing = loses(kind, run.random, adversaries[UAV].losing, pending)

@@ -36,7 +36,7 @@ def switch_command(
     discs: RecordArray,
     adversaries: RecordArray,
     tick: int,
-    here: State,
+    own: State,
     z_x: float,
     z_y: float,
 ) -> tuple[float, float]:
@@ -51,14 +51,14 @@ def switch_command(
         for k in range(KEPT):
             if discs[k].tick == NEVER:
                 continue
-            r = bound_of(bounds, discs, k, tick, here.p_x, here.p_y)
+            r = bound_of(bounds, discs, k, tick, own.p_x, own.p_y)
             if r < least:
                 least = r
-                z_x, z_y = here.p_x - discs[k].x, here.p_y - discs[k].y
+                z_x, z_y = own.p_x - discs[k].x, own.p_y - discs[k].y
     e_x, e_y = direction(z_x, z_y)
     return clip_norm(
-        (-bounds.v_a * e_x - here.v_x) / bounds.dt,
-        (-bounds.v_a * e_y - here.v_y) / bounds.dt,
+        (-bounds.v_a * e_x - own.v_x) / bounds.dt,
+        (-bounds.v_a * e_y - own.v_y) / bounds.dt,
         bounds.u_a,
     )
 
@@ -80,6 +80,6 @@ def nominal_command(run: Run, view: View, known: Known) -> tuple[float, float]:
         roles.controller_x, roles.controller_y = c_x, c_y
     phase = roles.rate * (view.tick * dt)
     u_x, u_y = inner_command(
-        roles.inner, view.x, view.y, view.here, z_x, z_y, phase, adversaries, u_a
+        roles.inner, view.x, view.y, view.uav, z_x, z_y, phase, adversaries, u_a
     )
     return clip_norm(u_x, u_y, u_a)

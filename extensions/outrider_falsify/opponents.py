@@ -71,9 +71,9 @@ def direction(x: float, y: float) -> tuple[float, float]:
 def redraw(random: RngState, adversaries: RecordArray, k: int, u: float) -> None:
     """Draw a new acceleration of at most u [m/s²] and a new side for an adversary."""
     angle, strength = 2.0 * math.pi * next_share(random), u * min(1.0, 2.0 * next_share(random))
-    own = adversaries[k]
-    own.u_x, own.u_y = strength * math.cos(angle), strength * math.sin(angle)
-    own.side = 1.0 if next_share(random) < 0.5 else -1.0
+    adversary = adversaries[k]
+    adversary.u_x, adversary.u_y = strength * math.cos(angle), strength * math.sin(angle)
+    adversary.side = 1.0 if next_share(random) < 0.5 else -1.0
 
 
 @compiled
@@ -85,15 +85,15 @@ def draw_creep(random: RngState) -> tuple[float, float]:
 
 
 @compiled
-def _creep(here: State, c_x: float, c_y: float, side: float) -> tuple[float, float]:
+def _creep(own: State, c_x: float, c_y: float, side: float) -> tuple[float, float]:
     """Return the command that holds the UAV at a residual velocity [m/s²].
 
     Args:
-        here: State of the UAV.
+        own: State of the UAV.
         c_x, c_y: The residual velocity [m/s].
         side: While the safety filter moves the UAV, 1.0 pushes back and -1.0 does nothing.
     """
-    speed, pace = norm(here.v_x, here.v_y), norm(c_x, c_y)
+    speed, pace = norm(own.v_x, own.v_y), norm(c_x, c_y)
     push = 0.0
     if speed < 0.1 * pace:
         push = 20.0
@@ -107,7 +107,7 @@ def inner_command(
     kind: int,
     x: float,
     y: float,
-    here: State,
+    own: State,
     z_x: float,
     z_y: float,
     phase: float,
@@ -119,19 +119,19 @@ def inner_command(
     Args:
         kind: Code of `INNERS`.
         x, y: True p_a - p_g [m].
-        here: State of the UAV.
+        own: State of the UAV.
         z_x, z_y: p_a - p_g of the newest detection [m].
         phase: Phase of periodic controls [rad].
         adversaries: Memory of the adversaries.
         u: Acceleration limit of the UAV [m/s²].
     """
     e_x, e_y = direction(x, y)
-    own = adversaries[UAV]
-    side = own.side
+    adversary = adversaries[UAV]
+    side = adversary.side
     if kind == INNERS.outward:
         return u * e_x, u * e_y
     if kind == INNERS.random:
-        return own.u_x, own.u_y
+        return adversary.u_x, adversary.u_y
     if kind == INNERS.tangential:
         return -side * u * e_y, side * u * e_x
     if kind == INNERS.outward_then_tangential:
@@ -140,11 +140,11 @@ def inner_command(
         s, c = math.sin(phase), math.cos(phase)
         return u * (c * e_x - side * s * e_y), u * (c * e_y + side * s * e_x)
     if kind == INNERS.tracking:
-        return own.output_x, own.output_y
+        return adversary.output_x, adversary.output_y
     if kind == INNERS.still:
-        return -here.v_x / 0.05, -here.v_y / 0.05
+        return -own.v_x / 0.05, -own.v_y / 0.05
     if kind == INNERS.creeps:
-        return _creep(here, own.heading_x, own.heading_y, side)
+        return _creep(own, adversary.heading_x, adversary.heading_y, side)
     e_x, e_y = direction(z_x, z_y)
     return u * e_x, u * e_y
 
@@ -154,7 +154,7 @@ def ugv_command(
     kind: int,
     x: float,
     y: float,
-    here: State,
+    uav: State,
     w_x: float,
     w_y: float,
     adversaries: RecordArray,
@@ -165,28 +165,28 @@ def ugv_command(
     Args:
         kind: Code of `UGVS`.
         x, y: True p_a - p_g [m].
-        here: State of the UAV.
+        uav: State of the UAV.
         w_x, w_y: Velocity of the UGV [m/s].
         adversaries: Memory of the adversaries.
         u: Acceleration limit of the UGV [m/s²].
     """
     e_x, e_y = direction(x, y)
-    own = adversaries[UGV]
-    side = own.side
+    adversary = adversaries[UGV]
+    side = adversary.side
     if kind == UGVS.flees:
         return -u * e_x, -u * e_y
     if kind == UGVS.straight:
-        return u * own.heading_x, u * own.heading_y
+        return u * adversary.heading_x, u * adversary.heading_y
     if kind == UGVS.random:
-        return own.u_x, own.u_y
+        return adversary.u_x, adversary.u_y
     if kind == UGVS.turns:
         d_x, d_y = direction(w_x, w_y)
         return u * (d_x - side * d_y) * 0.7, u * (d_y + side * d_x) * 0.7
     if kind == UGVS.dodges:
-        d_x, d_y = direction(here.v_x, here.v_y)
+        d_x, d_y = direction(uav.v_x, uav.v_y)
         return -u * d_x, -u * d_y
     if kind == UGVS.ambush:
-        outward = here.v_x * e_x + here.v_y * e_y
+        outward = uav.v_x * e_x + uav.v_y * e_y
         return (-u * e_x, -u * e_y) if outward > 0.0 else (u * e_x, u * e_y)
     return brake(w_x, w_y, u, 0.05)
 

@@ -153,11 +153,11 @@ class FmuPolicy:
         self._token = described.instantiationToken
         self._identifier = described.coSimulation.modelIdentifier
 
-    def _check_platform(self, here: str) -> None:
+    def _check_platform(self, platform: str) -> None:
         made = sorted(one.name for one in Path(self._folder, "binaries").glob("*"))
-        if here not in made:
+        if platform not in made:
             raise ScenarioError(
-                f"{self._where}: made for {', '.join(made) or 'no platform'}; this one is {here}"
+                f"{self._where}: made for {', '.join(made) or 'no platform'}; this one is {platform}"
             )
 
     def _try(self, step: float) -> None:
@@ -222,8 +222,8 @@ class FmuPolicy:
 
 def _values(observed: Mapping[str, float], perceived: UgvObservation | None) -> Mapping[str, float]:
     values: dict[str, float] = dict.fromkeys(_INPUTS, 0.0)
-    motion = observed["x"], observed["y"], observed["vx"], observed["vy"]
-    values |= zip((one.name for one in OWN_STATE), motion, strict=True)
+    state = observed["x"], observed["y"], observed["vx"], observed["vy"]
+    values |= zip((one.name for one in OWN_STATE), state, strict=True)
     goal = bool(observed["underway"]), observed["goal_x"], observed["goal_y"]
     values |= zip((one.name for one in GOAL), goal, strict=True)
     received = perceived.radio[-1:] if perceived is not None else ()

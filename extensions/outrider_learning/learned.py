@@ -98,7 +98,7 @@ class LearnedPolicy:
         """Arguments of the vector environment with the required observations."""
         self._shapes = {"row": (len(UAV),), "coverage": (int(pixels), int(pixels))}
         self._ticks, self._dt = int(recipe["repeat"]), float(recipe["dt"])
-        self._held: Array = np.zeros((0, 2))
+        self._last_action: Array = np.zeros((0, 2))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -161,8 +161,11 @@ class LearnedPolicy:
             )
         tick = np.rint(observation["row"][:, 0] / self._dt).astype(np.int64)
         starting, due = tick == 0, tick % self._ticks == 0
-        if self._held.shape != (len(tick), 2):
-            self._held, starting = np.zeros((len(tick), 2)), np.ones(len(tick), dtype=np.bool_)
+        if self._last_action.shape != (len(tick), 2):
+            self._last_action, starting = (
+                np.zeros((len(tick), 2)),
+                np.ones(len(tick), dtype=np.bool_),
+            )
         if starting.any():
             shown = self._view.begin(observation, starting)
         if (due & ~starting).any():
@@ -170,5 +173,5 @@ class LearnedPolicy:
         due |= starting
         if due.any():
             action = np.clip(self._network(shown), -1.0, 1.0)
-            self._held[due] = self._view.action(action)[due]
-        return self._held.copy()
+            self._last_action[due] = self._view.action(action)[due]
+        return self._last_action.copy()

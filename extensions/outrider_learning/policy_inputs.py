@@ -122,14 +122,14 @@ class EscortView(Transformation):
         row = by_name(UAV, observation["row"].astype(np.float64))
         detected = row["detected"] > 0.0
         relative = np.stack((row["relative_x"], row["relative_y"]), axis=-1)
-        place = np.stack((row["x"], row["y"]), axis=-1) - relative
+        position = np.stack((row["x"], row["y"]), axis=-1) - relative
         distance = np.sqrt(relative[..., 0] ** 2 + relative[..., 1] ** 2)
         turning = moving & (distance > _NEAR)
         self._axis[turning] = relative[turning] / distance[turning, None]
         self._track[:-1, moving] = self._track[1:, moving]
-        self._track[-1, moving] = place[moving]
+        self._track[-1, moving] = position[moving]
         first = moving & ~(self._known & detected)
-        self._track[:, first] = place[first]
+        self._track[:, first] = position[first]
         self._known[moving] = detected[moving]
         self._velocity[moving] = np.stack((row["vx"], row["vy"]), axis=-1)[moving]
 

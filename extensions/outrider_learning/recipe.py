@@ -204,7 +204,7 @@ def _taken_off(env: Any) -> tuple[dict[str, Any] | None, Any]:  # noqa: ANN401
     )
 
 
-class HeldAction:
+class RepeatedAction:
     """Action that is repeated for a number of ticks.
 
     Raises:
@@ -212,10 +212,10 @@ class HeldAction:
     """
 
     def __init__(self, ticks: int) -> None:
-        self.ticks, self.due, self.held = whole("ticks", ticks, MOST_TICKS), 0, np.zeros((0, 2))
+        self.ticks, self.due, self.last = whole("ticks", ticks, MOST_TICKS), 0, np.zeros((0, 2))
 
 
-def make_layer(layer: Mapping[str, Any]) -> Transformation | HeldAction:
+def make_layer(layer: Mapping[str, Any]) -> Transformation | RepeatedAction:
     """Create the layer that a recipe describes.
 
     Raises:
@@ -224,7 +224,7 @@ def make_layer(layer: Mapping[str, Any]) -> Transformation | HeldAction:
     given = dict(layer)
     kind = given.pop("kind", None)
     try:
-        return HeldAction(**given) if kind == _REPEAT else _class_of(str(kind))(**given)
+        return RepeatedAction(**given) if kind == _REPEAT else _class_of(str(kind))(**given)
     except ScenarioError as error:  # the line names the module and why it cannot be imported
         raise ValueError(f"layer {error}") from error
     except (TypeError, ValueError) as error:

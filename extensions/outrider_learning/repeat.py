@@ -39,14 +39,14 @@ class ActionRepeat(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes no ar
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:  # noqa: ANN401 - as the environment's
         """Advance all worlds by one step."""
-        held = np.array(actions)
-        observations, rewards, terminated, truncated, infos = self.env.step(held)
+        repeated = np.array(actions)
+        observations, rewards, terminated, truncated, infos = self.env.step(repeated)
         total, ended = np.array(rewards, dtype=np.float64), np.logical_or(terminated, truncated)
         final = _final(infos)
         for _ in range(self.ticks - 1):
             if ended.any():
-                held[ended] = 0.0
-            observations, rewards, now_terminated, now_truncated, infos = self.env.step(held)
+                repeated[ended] = 0.0
+            observations, rewards, now_terminated, now_truncated, infos = self.env.step(repeated)
             total += np.where(ended, 0.0, rewards)
             new = np.logical_or(now_terminated, now_truncated) & ~ended
             if new.any():

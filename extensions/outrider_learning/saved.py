@@ -22,8 +22,8 @@ from bus.observations import ROUNDING, UAV, by_name, largest, names, without
 from bus.policies import policy_forms
 from outrider_learning.learned import check_altitude, check_made_for
 from outrider_learning.recipe import (
-    HeldAction,
     ObservationRecipe,
+    RepeatedAction,
     checked_recipe,
     make_layer,
     observation_recipe,
@@ -203,17 +203,17 @@ class SavedPolicy:
             )
             return np.asarray(actions, dtype=np.float64)
         layer = self._layers[depth]
-        if isinstance(layer, HeldAction):
-            return self._hold(layer, depth, observation, starting, time)
+        if isinstance(layer, RepeatedAction):
+            return self._repeat(layer, depth, observation, starting, time)
         shown = observation if starting.all() else layer.apply(observation)
         if starting.any():
             shown = layer.begin(observation, starting)
         action: Array = layer.action(self._act(depth + 1, shown, starting, time))
         return action
 
-    def _hold(
+    def _repeat(
         self,
-        layer: HeldAction,
+        layer: RepeatedAction,
         depth: int,
         observation: AgentObservation,
         starting: Array,
@@ -226,8 +226,8 @@ class SavedPolicy:
         tick = round(time / (self._recipe.dt or 1.0))
         if starting.all() or tick >= layer.due:
             layer.due = tick - tick % layer.ticks + layer.ticks
-            layer.held = self._act(depth + 1, observation, starting, time)
-        return layer.held.copy()
+            layer.last = self._act(depth + 1, observation, starting, time)
+        return layer.last.copy()
 
 
 _TIME, _AGE = names(UAV).index("time"), names(UAV).index("age")

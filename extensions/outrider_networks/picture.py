@@ -39,15 +39,20 @@ def draw_fit(fit: Fit, samples: dict[str, Sample], path: Path) -> None:
         "fitted": "fitted settings",
         "nearest": f"nearest profile: {fit.nearest}",
     }
-    with style.look():
+    with style.plot_style():
         figure = style.new_figure(1680, 620, header=0.14)
         delays, bursts, waits = figure.subplots(1, 3)
         for name, sample in samples.items():
             color, line, width = _STYLES[name]
-            look = {"color": color, "linestyle": line, "linewidth": width, "label": names[name]}
-            _shares(delays, sample.arrived, look)
-            _bursts(bursts, sample, look)
-            _beyond(waits, np.sort(sample.waits), look)
+            line_style = {
+                "color": color,
+                "linestyle": line,
+                "linewidth": width,
+                "label": names[name],
+            }
+            _shares(delays, sample.arrived, line_style)
+            _bursts(bursts, sample, line_style)
+            _beyond(waits, np.sort(sample.waits), line_style)
         _times(delays, "delay of a message that arrives")
         delays.set_ylabel("share of messages with at most this delay")
         delays.yaxis.set_major_formatter(_PERCENT)
@@ -85,22 +90,22 @@ def _times(axes: Axes, label: str) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _shares(axes: Axes, values: FloatArray, look: dict[str, object]) -> None:
+def _shares(axes: Axes, values: FloatArray, line_style: dict[str, object]) -> None:
     """Plot the cumulative distribution."""
     shares = np.arange(1, len(values) + 1) / len(values)
-    axes.step(np.maximum(values, _LEAST), shares, where="post", **look)  # type: ignore[arg-type]
+    axes.step(np.maximum(values, _LEAST), shares, where="post", **line_style)  # type: ignore[arg-type]
 
 
-def _beyond(axes: Axes, values: FloatArray, look: dict[str, object]) -> None:
+def _beyond(axes: Axes, values: FloatArray, line_style: dict[str, object]) -> None:
     """Plot the complementary distribution."""
     axes.set_yscale("log")
     shares = 1.0 - np.arange(len(values)) / len(values)
-    axes.step(np.maximum(values, _LEAST), shares, where="pre", **look)  # type: ignore[arg-type]
+    axes.step(np.maximum(values, _LEAST), shares, where="pre", **line_style)  # type: ignore[arg-type]
     axes.yaxis.set_major_formatter(_PERCENT)
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _bursts(axes: Axes, sample: Sample, look: dict[str, object]) -> None:
+def _bursts(axes: Axes, sample: Sample, line_style: dict[str, object]) -> None:
     """Plot the number of bursts per hour with at least each length."""
     lengths = np.sort(sample.bursts) * sample.interval
     if not lengths.size:
@@ -109,4 +114,4 @@ def _bursts(axes: Axes, sample: Sample, look: dict[str, object]) -> None:
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
     hours = len(sample.delay) * sample.interval / 3600.0
-    axes.step(lengths, np.arange(len(lengths), 0, -1) / hours, where="pre", **look)  # type: ignore[arg-type]
+    axes.step(lengths, np.arange(len(lengths), 0, -1) / hours, where="pre", **line_style)  # type: ignore[arg-type]

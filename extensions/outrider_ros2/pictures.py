@@ -76,7 +76,7 @@ def marker(
     shape: int,
     color: RosMessage,
     position: Vector = (0.0, 0.0),
-    scale: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    scale: Vector3 = (1.0, 1.0, 1.0),
     points: Iterable[Vector | Vector3] = (),
 ) -> RosMessage:
     """Return a marker that moves with its frame until one with the same name and number replaces it."""

@@ -106,11 +106,11 @@ class RosBag:
     def __init__(self, folder: Path) -> None:
         check_target(folder)
         self.folder = folder
-        place = folder.absolute()
-        self._hidden = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=place.parent))
+        target = folder.absolute()
+        self._hidden = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
         try:
             self._writer: Any = Writer(
-                self._hidden / place.name, version=_VERSION, storage_plugin=Storage.MCAP
+                self._hidden / target.name, version=_VERSION, storage_plugin=Storage.MCAP
             )
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()

@@ -129,8 +129,8 @@ class RosPilot:
                     OWN_DETECTION,
                     detection(one.time, name, one.relative_position, observation.altitude),
                 )
-        place, velocity = (*observation.position, height), (*observation.velocity, climb)
-        own = odometry(observation.time, name, place, velocity)
+        position, velocity = (*observation.position, height), (*observation.velocity, climb)
+        own = odometry(observation.time, name, position, velocity)
         self._send(OWN_ODOMETRY, own)
         self._send(OBSERVATION, _text(observation))
 

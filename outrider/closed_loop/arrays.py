@@ -118,7 +118,7 @@ class PilotState(NamedTuple):
     """Number of valid rows of `inboxes`. Shape (worlds, UGVs)."""
     detections: FloatArray
     """Work array for the detections received by one UAV: tick, p_delta [m]. Shape (worlds, room, 3)."""
-    places: IntArray
+    positions: IntArray
     states: TileArray
     """Work arrays for tiles reported to a UGV: indices and states. Shapes (worlds, 2, room), (worlds, room)."""
 
@@ -222,7 +222,7 @@ def grid_of(grids: OccupancyGrid, late: IntArray, world: int, ugv: int) -> Occup
         grids.path[world, ugv],
         grids.cost[world, ugv],
         grids.heap[world, ugv],
-        grids.place[world, ugv],
+        grids.heap_row[world, ugv],
         grids.sent[world, ugv, : late[row_of(late.shape[0], world), ugv]],
         grids.committed[world, ugv],
         grids.flags[world, ugv],
@@ -232,15 +232,15 @@ def grid_of(grids: OccupancyGrid, late: IntArray, world: int, ugv: int) -> Occup
 @compiled
 def map_of(maps: FloatArray, world: int, uav: int) -> FloatArray:
     """Return the map of a UAV, which may be common to all UAVs of its world."""
-    own: FloatArray = maps[world, min(uav, maps.shape[1] - 1)]
-    return own
+    chosen: FloatArray = maps[world, min(uav, maps.shape[1] - 1)]
+    return chosen
 
 
 @compiled
 def reference_of(vehicle: Vehicle) -> State:
     """Return the reference state of a vehicle."""
-    place, velocity = vehicle.reference_position, vehicle.reference_velocity
-    return State(place[0], place[1], velocity[0], velocity[1])
+    position, velocity = vehicle.reference_position, vehicle.reference_velocity
+    return State(position[0], position[1], velocity[0], velocity[1])
 
 
 @unless_none

@@ -1,5 +1,7 @@
 """Commands of a tick of the closed loop, from pilots or external actions, and the radio messages of the UAVs."""
 
+from typing import NamedTuple
+
 from agents.drivers.dispatch import drive
 from agents.drivers.parameters import DriverInputs
 from agents.drivers.pending_stops import PLAIN, add_stops
@@ -10,6 +12,7 @@ from agents.estimation.map_updates import (
     map_updates_of,
     next_block,
 )
+from agents.safety.altitude import Acceleration
 from agents.safety.control import filter_control
 from agents.safety.decision import CERTIFIED, NOMINAL
 from agents.safety.pending import add_plans
@@ -39,17 +42,27 @@ _RELATIVE, _GROUND = range(2)
 """Messages in `LoopState.outbox`."""
 
 
+class _VehicleRow(NamedTuple):
+    """Rows of one vehicle in the arrays of the closed loop."""
+
+    world: int
+    vehicle: int
+    """Row among all vehicles."""
+    row: int
+    """Row among the UAVs, or among the UGVs."""
+
+
 @inlined
 def _fly(
     tables: LoopTables,
     state: LoopState,
     pilots: Pilots,
     ground: GroundState | None,
-    place: tuple[int, int, int],
+    at: _VehicleRow,
     actions: FloatArray,
 ) -> None:
-    """Write the command of a UAV, and its radio messages. `place`: world, row among all vehicles and among the UAVs."""
-    world, vehicle, uav = place
+    """Write the command of a UAV, and its radio messages."""
+    world, vehicle, uav = at
     batch, action_row = state.batch, tables.action_row[vehicle]
     tick, standing = batch.ticks[world], state.rows.standings[world, vehicle]
     one = batch.vehicles[world, vehicle]
@@ -63,7 +76,7 @@ def _fly(
         action = actions[action_row]
         u_x, u_y, u_z = action[0], action[1], action[2]
     if pilots.tables.filtered[uav]:
-        nominal = u_x, u_y, u_z
+        nominal = Acceleration(u_x, u_y, u_z)
         u_x, u_y, u_z = filter_control(
             constants.safety, constants.levels, memory.filter, inputs, nominal
         )
@@ -97,7 +110,7 @@ def _write_radio(
     outbox: RecordArray,
     memory: MapUpdateMemory,
     tick: int,
-    here: State,
+    own: State,
     target: Target,
 ) -> None:
     """Write the radio messages of a UAV in this tick into its outbox."""
@@ -105,7 +118,7 @@ def _write_radio(
     relative, ground = outbox[_RELATIVE], outbox[_GROUND]
     relative.stamp = tick if known and tick % parameters.radio_ticks == 0 else -1.0
     relative.block = -1
-    relative.vector[0], relative.vector[1] = here.p_x - g_x, here.p_y - g_y
+    relative.vector[0], relative.vector[1] = own.p_x - g_x, own.p_y - g_y
     ground.stamp = -1.0
     if parameters.map_update_ticks > 0 and known and tick % parameters.map_update_ticks == 0:
         row, column = next_block(memory, parameters.tile, tick, g_x, g_y)
@@ -121,23 +134,23 @@ def _drive(
     state: LoopState,
     pilots: Pilots,
     ground: GroundState | None,
-    place: tuple[int, int, int],
+    at: _VehicleRow,
     actions: FloatArray,
 ) -> None:
-    """Write the command of a UGV. `place`: world, row among all vehicles and among the UGVs."""
-    world, vehicle, ugv = place
+    """Write the command of a UGV."""
+    world, vehicle, ugv = at
     batch, action_row = state.batch, tables.action_row[vehicle]
-    own, other = pilots.tables, pilots.state
+    fixed, changing = pilots.tables, pilots.state
     tick, one = batch.ticks[world], batch.vehicles[world, vehicle]
     one.outgoing_tick = tick
     if action_row >= 0:
         one.outgoing[0], one.outgoing[1] = actions[action_row, 0], actions[action_row, 1]
         return
-    script = own.scripts[own.script_rows[ugv] : own.script_rows[ugv + 1]]
+    script = fixed.scripts[fixed.script_rows[ugv] : fixed.script_rows[ugv + 1]]
     goals = goals_of(tables.batch.goals, tables.batch.goal_rows, ugv)
-    radio, arrived = other.inboxes[world, ugv], other.arrived[world, ugv]
+    radio, arrived = changing.inboxes[world, ugv], changing.arrived[world, ugv]
     committed = batch.flown[world, vehicle, 0].begins if one.follows_trajectories else PLAIN
-    grid = grid_of(other.grids, own.late, world, ugv)
+    grid = grid_of(changing.grids, fixed.late, world, ugv)
     inputs = DriverInputs(tick, reference_of(one), goals, script, radio, arrived, grid, committed)
     one.outgoing[0], one.outgoing[1] = drive(driver_of(pilots, world, ugv), inputs)
     if ground is not None:
@@ -157,12 +170,12 @@ def command(
     actions: FloatArray,
 ) -> None:
     """Write the commands of all vehicles, from pilots or external actions."""
-    for v in range(tables.rows.place.shape[0]):
-        place = tables.rows.place[v]
-        if place >= 0:
-            _fly(tables, state, pilots, ground, (world, v, place), actions)
+    for v in range(tables.rows.kind_row.shape[0]):
+        row = tables.rows.kind_row[v]
+        if row >= 0:
+            _fly(tables, state, pilots, ground, _VehicleRow(world, v, row), actions)
         else:
-            _drive(tables, state, pilots, ground, (world, v, -1 - place), actions)
+            _drive(tables, state, pilots, ground, _VehicleRow(world, v, -1 - row), actions)
 
 
 @compiled

@@ -44,8 +44,8 @@ def _receive_block(
         Row and column of the block.
     """
     row, column = packet.block // across, packet.block % across
-    for place in range(BLOCK_TILES):
-        states[place] = decode_tile(packet.tiles, place)
+    for index in range(BLOCK_TILES):
+        states[index] = decode_tile(packet.tiles, index)
     record_block(grid, row, column, states)
     return row, column
 
@@ -55,7 +55,7 @@ def _sense_ground(
     grid: OccupancyGrid,
     seen: TickArray,
     known: TileArray,
-    places: IntArray,
+    positions: IntArray,
     states: TileArray,
 ) -> None:
     """Update a UGV's occupancy grid from the reports of its own sensor.
@@ -64,10 +64,10 @@ def _sense_ground(
         grid: The occupancy grid; changed.
         seen: Tiles just reported, as row * columns + column.
         known: States of all tiles as reported by the sensor. Shape (rows, columns).
-        places, states: Work arrays. Shapes (2, room), (room,).
+        positions, states: Work arrays. Shapes (2, room), (room,).
     """
     columns, count = known.shape[1], seen.size
-    rows, across = places[0, :count], places[1, :count]
+    rows, across = positions[0, :count], positions[1, :count]
     for n in range(count):
         rows[n], across[n] = seen[n] // columns, seen[n] % columns
         states[n] = known[rows[n], across[n]]
@@ -80,8 +80,8 @@ def _radio(
     tables: LoopTables, state: LoopState, pilots: Pilots, ground: GroundState | None, world: int
 ) -> None:
     """Send the radio messages of the previous tick, and receive those that arrive."""
-    batch, own = state.batch, pilots.state
-    outbox, arrived = own.outbox, own.arrived[world]
+    batch, pilot_state = state.batch, pilots.state
+    outbox, arrived = pilot_state.outbox, pilot_state.arrived[world]
     arrived[:] = 0
     tick, packets, traces = batch.ticks[world], batch.packets, tables.batch.traces
     receivers = pilots.tables.receivers
@@ -89,7 +89,7 @@ def _radio(
     first = receivers.shape[0] + tables.action_row.shape[0]
     for u in range(receivers.shape[0]):
         g = receivers[u]
-        link, come = batch.links[world, first + u], own.inboxes[world, g]
+        link, come = batch.links[world, first + u], pilot_state.inboxes[world, g]
         begin_tick(link, packets, world, traces, tick)
         for k in range(outbox.shape[2]):
             packet = outbox[world, u, k]
@@ -107,10 +107,10 @@ def _radio(
                 )
                 arrived[g] = n + 1
             elif ground is not None:
-                grid = grid_of(own.grids, pilots.tables.late, world, g)
-                across, states = own.map_updates.repeats.shape[3], own.states[world]
-                place = _receive_block(grid, packet, across, states[:BLOCK_TILES])
-                receive_block(ground, world, g, tick, place, states[:BLOCK_TILES])
+                grid = grid_of(pilot_state.grids, pilots.tables.late, world, g)
+                across, states = pilot_state.map_updates.repeats.shape[3], pilot_state.states[world]
+                block = _receive_block(grid, packet, across, states[:BLOCK_TILES])
+                receive_block(ground, world, g, tick, block, states[:BLOCK_TILES])
 
 
 @compiled
@@ -136,11 +136,11 @@ def perceive(
     tables: LoopTables, state: LoopState, pilots: Pilots, ground: GroundState | None, world: int
 ) -> None:
     """Update the map and filters of each UAV and the inbox of each UGV from the messages of this tick."""
-    batch, escorts, own = state.batch, tables.batch.escorts, pilots.state
+    batch, escorts, pilot_state = state.batch, tables.batch.escorts, pilots.state
     parameters, tick, detections = (
         pilots.tables.parameters,
         batch.ticks[world],
-        own.detections[world],
+        pilot_state.detections[world],
     )
     elapsed = 1 if parameters.own_maps and tick > 0 else 0  # otherwise the world updates the map
     for u in range(escorts.shape[0]):
@@ -150,24 +150,24 @@ def perceive(
         constants, memory = constants_of(pilots.tables, world, u), memory_of(pilots, world, u)
         perceive_uav(constants, memory, inputs, pilots.tables.filtered[u] != 0)
         if pilots.tables.estimating[u]:
-            place = world, u
+            row = world, u
             update_estimate(
-                constants.kalman[0], own.kalman, place, tick, inputs.own, detections, arrived
+                constants.kalman[0], pilot_state.kalman, row, tick, inputs.own, detections, arrived
             )
     if parameters.radio:
         _radio(tables, state, pilots, ground, world)
     if ground is not None:
         for u in range(escorts.shape[0] if parameters.map_update_ticks > 0 else 0):
             v = escorts[u, 0]
-            updates = map_updates_of(own.map_updates, world, u)
+            updates = map_updates_of(pilot_state.map_updates, world, u)
             seen = ground.seen[world, v, : ground.report_counts[world, v]]
             _record_reports(updates, seen, ground.known[world, v])
         for g in range(ground.ugvs.shape[0]):
             v = ground.ugvs[g]
             _sense_ground(
-                grid_of(own.grids, pilots.tables.late, world, g),
+                grid_of(pilot_state.grids, pilots.tables.late, world, g),
                 ground.seen[world, v, : ground.report_counts[world, v]],
                 ground.known[world, v],
-                own.places[world],
-                own.states[world],
+                pilot_state.positions[world],
+                pilot_state.states[world],
             )

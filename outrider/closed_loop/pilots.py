@@ -281,7 +281,7 @@ class ChosenPilots:
             inboxes=np.zeros((worlds, ugvs, room * uavs if parameters.radio else 1, 3)),
             arrived=np.zeros((worlds, ugvs), dtype=np.int64),
             detections=np.zeros((worlds, room, 3)),
-            places=np.zeros((worlds, 2, tile_room), dtype=np.int64),
+            positions=np.zeros((worlds, 2, tile_room), dtype=np.int64),
             states=np.zeros((worlds, tile_room), dtype=np.uint8),
         )
         state.outbox["stamp"] = -1.0
@@ -321,11 +321,11 @@ class ChosenPilots:
         return memories
 
 
-def _enter(grids: OccupancyGrid, place: tuple[slice | int, int], memory: OccupancyGrid) -> None:
+def _enter(grids: OccupancyGrid, row: tuple[slice | int, int], memory: OccupancyGrid) -> None:
     """Copy the initial tiles of a UGV."""
-    grids.tiles[place], grids.reported[place] = memory.tiles, memory.reported
-    grids.blocked[place], grids.unseen[place] = memory.blocked, memory.unseen
-    grids.measured[place], grids.flags[place] = memory.measured, memory.flags
+    grids.tiles[row], grids.reported[row] = memory.tiles, memory.reported
+    grids.blocked[row], grids.unseen[row] = memory.blocked, memory.unseen
+    grids.measured[row], grids.flags[row] = memory.measured, memory.flags
 
 
 def map_random_buildings(

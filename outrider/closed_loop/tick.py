@@ -49,7 +49,7 @@ def _add_cues(
     row: Any,  # noqa: ANN401 - record of `RowState.uav_rows`
     target: Target,
     age: int,
-    own: UavParameters,
+    uav: UavParameters,
     coverage: FloatArray,
     occlusion: Occlusion | None,
 ) -> None:
@@ -70,7 +70,7 @@ def _add_cues(
             g_y,
             numbers.r_o,
             numbers.desired,
-            own.sensor,
+            uav.sensor,
             numbers.cell,
             occlusion,
         )
@@ -98,8 +98,8 @@ def _add_pictures(tables: LoopTables, state: LoopState, pilots: Pilots, world: i
                 occlusion_of(inputs_of(tables, state, pilots, world, u, 0)),
             )
     for u in range(patches.shape[1]):
-        place = vehicles[world, escorts[u, 0]].reference_position
-        x, y = place[0], place[1]
+        position = vehicles[world, escorts[u, 0]].reference_position
+        x, y = position[0], position[1]
         sample(
             map_of(uavs.coverage, world, u),
             x,

@@ -40,11 +40,11 @@ def _radioed(
         for packet in batch.state.packets[0, row, ARRIVED, : batch.state.links[0, row]["arrived"]]:
             block = int(packet["block"])
             if block < 0:
-                place = (float(packet["vector"][0]), float(packet["vector"][1]))
+                position = (float(packet["vector"][0]), float(packet["vector"][1]))
                 time = float(packet["stamp"]) * dt
                 # drivers ignore the coverage error
                 message = RelativeInformation(
-                    time=time, relative_position=place, coverage_error=0.0
+                    time=time, relative_position=position, coverage_error=0.0
                 )
                 radio.append(message)
             else:
@@ -92,9 +92,12 @@ class _EnvPilots:
         fields |= {"position": position, "velocity": velocity}
         fields |= {"tile_reports": world.seen_ground(row), "committed_trajectory": world.flown(row)}
         if isinstance(pilot, UavPilot):
-            own = world.vertical[row]
-            if own["flies"]:
-                fields |= {"altitude": float(own["altitude"]), "climb_rate": float(own["rate"])}
+            vertical = world.vertical[row]
+            if vertical["flies"]:
+                fields |= {
+                    "altitude": float(vertical["altitude"]),
+                    "climb_rate": float(vertical["rate"]),
+                }
             uav = [uav.name for uav in world.uavs].index(name)
             fields |= {"detections": world.received(uav), "buildings": world.discovered(uav)}
             return pilot.act(UavObservation(**fields))

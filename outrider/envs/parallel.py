@@ -49,7 +49,7 @@ def _acceleration(action: Action, length: int) -> npt.ArrayLike:
 class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     """A UAV escorts a UGV, covers as much ground around it as possible, and never loses sight of it.
 
-    Agents are the scenario's vehicles. An action is an acceleration [m/s²], held for one tick; an action whose norm
+    Agents are the scenario's vehicles. An action is an acceleration [m/s²], applied for one tick; an action whose norm
     exceeds the bound of (1) is shortened. A pilot's command is also a valid action. An observation is the vehicle's own
     row and nothing else; the complete true state is in `state()`. On ground with hazards a UGV's observation is a
     dictionary: `row`, and `tiles`, a picture of its occupancy grid. `docs/reference/environment.md` shows the entries

@@ -309,8 +309,8 @@ class Worlds:
         taken += [
             self._taken(name, policy(self.observe(name))) for name, policy in self._policies.items()
         ]
-        for place, action in enumerate(taken):
-            self._actions[:, place, : action.shape[1]] = action
+        for row, action in enumerate(taken):
+            self._actions[:, row, : action.shape[1]] = action
         self.advance(self._actions, which)
         if self._view is not None:
             self._view.follow()

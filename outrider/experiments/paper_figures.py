@@ -69,7 +69,7 @@ def make_figures(
     flights = fly_all(lambda what, share: report(what, 0.6 * share))
     for number, draw in enumerate((figure_1, figure_2, figure_3, figure_4, figure_5), start=1):
         report(f"drawing figure {number}", 0.6 + 0.08 * (number - 1))
-        with style.look():
+        with style.plot_style():
             style.save(draw(flights), out / f"figure-{number}.png")
     claims = all_claims(flights)
     report("done", 1.0)

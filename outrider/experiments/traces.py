@@ -80,12 +80,12 @@ def velocity_errors(flight: Flight) -> tuple[FloatArray, FloatArray]:
     estimates = flight.recorder.escorts[:, 0, 4:6]
     errors = np.empty((flight.recorder.ticks, 2))
     for tick in range(flight.recorder.ticks):
-        here = State(*states[tick, :4].tolist())
+        state = State(*states[tick, :4].tolist())
         if tick > 0:
-            accumulate(coverage, here.p_x, here.p_y, c.sensor, c.cell, c.dt)
+            accumulate(coverage, state.p_x, state.p_y, c.sensor, c.cell, c.dt)
         target = Target(True, estimates[tick, 0], estimates[tick, 1], 0.0, 0.0, 0.0, 0.0)
         errors[tick] = coverage_velocity_error(
-            uav, law, memory, LawInputs(coverage, tick, here, target)
+            uav, law, memory, LawInputs(coverage, tick, state, target)
         )
     return errors, errors + states[: flight.recorder.ticks, 2:4]
 

@@ -169,12 +169,12 @@ def _difference(flight: Flight, truth: Truth) -> Difference | None:
                 return Difference(
                     tick=truth.tick, vehicle=name, field=field, recorded=recorded, flown=flown
                 )
-        own, there = world.vertical[k], truth.vehicles[name]
+        vertical, there = world.vertical[k], truth.vehicles[name]
         if there.altitude is None:
             continue
         recorded, flown = (
             (there.altitude, there.climb_rate),
-            (float(own["altitude"]), float(own["rate"])),
+            (float(vertical["altitude"]), float(vertical["rate"])),
         )
         if recorded != flown:
             return Difference(

@@ -292,14 +292,14 @@ def _up(altitude: float) -> str:
 
 def _cause(briefing: UavBriefing, lowest: float) -> str:
     """Return why sight can be certified from an altitude [m] on, as the end of a sentence."""
-    own, camera = briefing.altitude, briefing.camera
-    if own is None or camera is None:
+    limits, camera = briefing.altitude, briefing.camera
+    if limits is None or camera is None:
         return ""
-    if lowest <= own.min_altitude:
+    if lowest <= limits.min_altitude:
         return ", from the lowest altitude of the UAV on"
     if lowest <= least_altitude(briefing):
         return (
-            f", that is {exact(own.vertical_clearance)} m above the highest building "
+            f", that is {exact(limits.vertical_clearance)} m above the highest building "
             f"({exact(briefing.max_building_height or 0.0)} m)"
         )
     seen = (lowest - briefing.marker_height) * math.tan(camera.half_angle)

@@ -256,9 +256,9 @@ class _Processes:
 
     def start_again(self, dead: Child) -> None:
         """Replace a process that has exited by a new one."""
-        place = self.children.index(dead)
+        index = self.children.index(dead)
         dead.close()
-        self.children[place] = self._start(dead.name)
+        self.children[index] = self._start(dead.name)
 
 
 def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcome:

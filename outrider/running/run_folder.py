@@ -23,10 +23,10 @@ def socket_parent() -> str:
         BusError: If no folder is suitable.
     """
     wanted = tempfile.gettempdir()
-    for place in (wanted, os.environ.get("XDG_RUNTIME_DIR", ""), "/tmp", "/var/tmp"):  # noqa: S108 - for private folders
-        fits = not Locator.of(f"{UNIX}/{place}/{_PREFIX}12345678/bus.sock").syntax_fault()
-        if fits and os.path.isabs(place) and os.access(place, os.W_OK | os.X_OK):
-            return place
+    for parent in (wanted, os.environ.get("XDG_RUNTIME_DIR", ""), "/tmp", "/var/tmp"):  # noqa: S108 - for private folders
+        fits = not Locator.of(f"{UNIX}/{parent}/{_PREFIX}12345678/bus.sock").syntax_fault()
+        if fits and os.path.isabs(parent) and os.access(parent, os.W_OK | os.X_OK):
+            return parent
     raise BusError(
         f"TMPDIR = {wanted!r}: unsuitable for the run's socket; allowed: a short path without '#' and '?'"
     )

@@ -65,8 +65,8 @@ def _hides_a_file(module: ModuleType, module_name: str) -> bool:
 
 
 def _module(name: str, where: str) -> ModuleType:
-    here = Path.cwd()
-    _search_last(str(here))
+    working_folder = Path.cwd()
+    _search_last(str(working_folder))
     try:
         return import_module(name)
     except ModuleNotFoundError as error:
@@ -74,13 +74,13 @@ def _module(name: str, where: str) -> ModuleType:
             name,
             *(name.rsplit(".", k)[0] for k in range(1, name.count(".") + 1)),
         ):
-            raise ScenarioError(f"{where}: {error}{_hidden(here)}") from error
-        known = sorted(file.stem for file in here.glob(f"*{_ENDING}"))
+            raise ScenarioError(f"{where}: {error}{_hidden(working_folder)}") from error
+        known = sorted(file.stem for file in working_folder.glob(f"*{_ENDING}"))
         raise ScenarioError(
             f"{where}: no module {error.name!r} in this folder or on Python's path{near(name, known)}"
         ) from error
     except ImportError as error:
-        raise ScenarioError(f"{where}: {error}{_hidden(here)}") from error
+        raise ScenarioError(f"{where}: {error}{_hidden(working_folder)}") from error
     except Ended:
         raise
     except (Exception, SystemExit) as error:

@@ -153,14 +153,14 @@ def _write_gif(frames: Iterator[Picture], out: Path, fps: int, *, hazards: bool)
     colored = (Image.fromarray(frame).convert("RGB") for frame in frames)
     pictures = (one.quantize(palette=palette, dither=Image.Dither.NONE) for one in colored)
     first = next(pictures)
-    held = round(1000.0 / fps)
+    duration = round(1000.0 / fps)
     with writing(out), out.open("wb") as file:
         first.save(
             file,
             format="GIF",
             save_all=True,
             append_images=pictures,
-            duration=held,
+            duration=duration,
             loop=0,
             optimize=False,
         )

@@ -44,7 +44,7 @@ def draw_flight(flight: Flight, path: Path, hazards: GroundMap | None = None) ->
         OSError: If the file cannot be written.
         ValueError: If the flight has no recorded state.
     """
-    with style.look():
+    with style.plot_style():
         style.save(flight_figure(flight, hazards), path)
 
 
@@ -56,7 +56,7 @@ def flight_figure(flight: Flight, hazards: GroundMap | None = None) -> Figure:
     """
     if flight.recorder.rows == 0:
         raise ValueError("flight: no recorded state; allowed: a flight with one state or more")
-    with style.look():
+    with style.plot_style():
         if hazards is None:
             hazards = ground_map(flight.world, routes=flight.routes)
         width, height = SIZE

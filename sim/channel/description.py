@@ -55,8 +55,13 @@ def extra_delays(settings: LinkSettings) -> tuple[float, float]:
 
 def longest_delay(settings: LinkSettings, traces: Sequence[RecordedLink] = ()) -> float:
     """Return the longest delay of a message, without its time in the sender's queue [s]."""
-    held = settings.reorder_delay if settings.reorder > 0.0 else 0.0
-    return settings.delay + extra_delays(settings)[1] + held + longest_recorded(settings, traces)
+    reorder_delay = settings.reorder_delay if settings.reorder > 0.0 else 0.0
+    return (
+        settings.delay
+        + extra_delays(settings)[1]
+        + reorder_delay
+        + longest_recorded(settings, traces)
+    )
 
 
 def longest_wait(parameters: LinkParameters) -> int:
@@ -213,9 +218,9 @@ def link_parameters(
     if bursts:
         share = settings.burst_length / (settings.burst_length + settings.burst_interval)
         decay = -math.expm1(-dt / settings.burst_length - dt / settings.burst_interval)
-    held = settings.reorder_delay if settings.reorder > 0.0 else 0.0
+    reorder_delay = settings.reorder_delay if settings.reorder > 0.0 else 0.0
     within_tick = dt if replay == OPPORTUNITIES else 0.0
-    longest = first_tick_from(settings.delay + most + held + within_tick, dt)
+    longest = first_tick_from(settings.delay + most + reorder_delay + within_tick, dt)
     if replay == DELAYS:
         longest = max(int(trace[:, 1].max()), 0)
     waits = settings.queue if settings.bandwidth > 0.0 else 0

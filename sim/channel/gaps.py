@@ -259,9 +259,9 @@ def late_shares(
     return shares
 
 
-def delays_at(parameters: LinkParameters, places: IntArray) -> IntArray:
+def delays_at(parameters: LinkParameters, phases: IntArray) -> IntArray:
     """Return the delay of a message sent at each of these positions of a table [ticks]; -1: lost."""
-    rows = np.searchsorted(parameters.trace[:, 0], places, side="right") - 1
+    rows = np.searchsorted(parameters.trace[:, 0], phases, side="right") - 1
     delays: IntArray = parameters.trace[rows, 1]
     return delays
 

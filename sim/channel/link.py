@@ -67,13 +67,13 @@ _first_tick_from = compiled(first_tick_from)
 
 
 @compiled
-def _transit_time(parameters: LinkParameters, share: float, held: bool, later: float) -> int:
+def _transit_time(parameters: LinkParameters, share: float, reordered: bool, later: float) -> int:
     """Return the transit time [ticks] of a packet that leaves `later` [s] after its tick.
 
     Args:
         parameters: Parameters of the link.
         share: Quantile of the packet's extra delay.
-        held: True if the packet is reordered.
+        reordered: True if the packet is reordered.
         later: Time after the tick [s].
     """
     settings, extra = parameters.settings, 0.0
@@ -85,7 +85,7 @@ def _transit_time(parameters: LinkParameters, share: float, held: bool, later: f
         )
         extra = min(max(extra, parameters.least), parameters.most)
     return _first_tick_from(
-        settings.delay + extra + (settings.reorder_delay if held else 0.0) + later,
+        settings.delay + extra + (settings.reorder_delay if reordered else 0.0) + later,
         parameters.dt,
     )
 
@@ -157,8 +157,8 @@ def _transport(link: Link, packets: RecordArray, w: int, packet: Packet, due: in
 def _replay(link: Link, packets: RecordArray, w: int, traces: IntArray, packet: Packet) -> None:
     """Send a packet with the delay or loss of the last trace row before it was sent."""
     p = link.parameters
-    place = (packet.sent_at + trace_offset(_key_of(link), p.period)) % p.period
-    ticks = traces[_first_after(traces, 0, p.first_row, p.end_row, place) - 1, 1]
+    phase = (packet.sent_at + trace_offset(_key_of(link), p.period)) % p.period
+    ticks = traces[_first_after(traces, 0, p.first_row, p.end_row, phase) - 1, 1]
     if link.blackout or ticks < 0:
         link.lost[BLACKOUT if link.blackout else TRACE] += 1
     else:
@@ -179,7 +179,7 @@ def _transmit(link: Link, packets: RecordArray, w: int, packet: Packet, later: f
     if link.blackout:
         link.lost[BLACKOUT] += 1
         return
-    twice, held = False, False
+    twice, reordered = False, False
     if s.loss > 0.0 or bad or s.duplicates > 0.0 or s.reorder > 0.0:
         word_0, word_1, word_2, word_3 = draw(key, LINK_LOSS, packet.sent_at, packet.number)
         if bad and to_uniform(word_1) < s.burst_loss:
@@ -188,18 +188,18 @@ def _transmit(link: Link, packets: RecordArray, w: int, packet: Packet, later: f
         if to_uniform(word_0) < s.loss:
             link.lost[LOSS] += 1
             return
-        twice, held = to_uniform(word_2) < s.duplicates, to_uniform(word_3) < s.reorder
-    share, share_too, held_too = 0.0, 0.0, False
+        twice, reordered = to_uniform(word_2) < s.duplicates, to_uniform(word_3) < s.reorder
+    share, share_too, reordered_too = 0.0, 0.0, False
     if s.jitter > 0.0 or twice:
         word_0, word_1, word_2, _ = draw(key, LINK_DELAY, packet.sent_at, packet.number)
         share, share_too = to_uniform(word_0), to_uniform(word_1)
-        held_too = to_uniform(word_2) < s.reorder
-    _transport(link, packets, w, packet, link.tick + _transit_time(p, share, held, later))
+        reordered_too = to_uniform(word_2) < s.reorder
+    _transport(link, packets, w, packet, link.tick + _transit_time(p, share, reordered, later))
     if twice and link.in_transit < link.room:
         link.duplicated += 1
         packet.copy = True
         _transport(
-            link, packets, w, packet, link.tick + _transit_time(p, share_too, held_too, later)
+            link, packets, w, packet, link.tick + _transit_time(p, share_too, reordered_too, later)
         )
 
 
@@ -211,11 +211,11 @@ def _in_random_blackout(link: Link, tick: int) -> bool:
         word_0, word_1, _, _ = draw(_key_of(link), LINK_STATE, link.renewals, _ONE)
         link.renewals += 1
         between = -up * math.log1p(-to_uniform(word_0))
-        place = to_uniform(word_1) * (up + down)
+        phase = to_uniform(word_1) * (up + down)
         if link.blackout_end >= 0.0:
             link.blackout_begin = link.blackout_end + between
         else:
-            link.blackout_begin = tick + (place - down if place < down else between)
+            link.blackout_begin = tick + (phase - down if phase < down else between)
         link.blackout_end = link.blackout_begin + down
     return bool(link.blackout_begin <= tick + TICK_TOLERANCE)
 
@@ -273,8 +273,8 @@ def _grant(link: Link, packets: RecordArray, w: int, traces: IntArray, tick: int
     offset = trace_offset(_key_of(link), p.period)
     begin = in_milliseconds(tick - 1, p.dt) + offset
     end = in_milliseconds(tick, p.dt) + offset
-    start, place = begin - begin % p.period, begin % p.period
-    k = _first_after(traces, 0, p.first_row, p.end_row, place)
+    start, phase = begin - begin % p.period, begin % p.period
+    k = _first_after(traces, 0, p.first_row, p.end_row, phase)
     while link.queued > 0:
         now = start + traces[k, 0]
         if now > end:

@@ -30,7 +30,7 @@ PER_TICK = {LinkKind.DETECTIONS: 1, LinkKind.COMMANDS: 1, LinkKind.OPERATOR: 64,
 _COUNTERS = ("sent", "delivered", "duplicated", "queued", "in_transit")
 """Counters common to a link's record and its status."""
 
-_PLACES = ("first_blackout", "end_blackout", "first_row", "end_row")
+_TRACE_ROWS = ("first_blackout", "end_blackout", "first_row", "end_row")
 """Fields of `LinkParameters` that depend on the other links."""
 
 _WORLD = constant(0)
@@ -328,19 +328,19 @@ class Links:
         for row, one in enumerate(settings):
             if one == self._settings[row]:
                 continue
-            own = self.records["parameters"][world, row]
+            parameters = self.records["parameters"][world, row]
             given = link_parameters(
                 one, self._dt, per_tick=PER_TICK[self.names[row][0]], traces=self._recorded
             )
-            places: dict[str, Any] = {name: int(own[name]) for name in _PLACES}
-            fill(own, given._replace(**places))
+            trace_rows: dict[str, Any] = {name: int(parameters[name]) for name in _TRACE_ROWS}
+            fill(parameters, given._replace(**trace_rows))
 
     def status(self, world: int = 0) -> dict[str, LinkStatus]:
         """Return the counters of each link of a world so far, by `vehicle/kind`."""
         for row in range(len(self.names)):
             self._catch_up(row)
-        own = self._own.get(world, self._settings)
-        rows = zip(self.names, self.records[world], own, strict=True)
+        settings = self._own.get(world, self._settings)
+        rows = zip(self.names, self.records[world], settings, strict=True)
         return {f"{name}/{kind}": link_status(link, one) for (kind, name), link, one in rows}
 
     def send_object(self, row: int, tick: int, message: Any, stamp: float) -> None:  # noqa: ANN401 - any object

@@ -254,10 +254,10 @@ def trace_faults(
         yield Fault(f"{path}trace", settings.trace, wrong, known)
         return
     table = isinstance(recording_of(recorded), Fates)
-    refused = (*_DRAWN, "bandwidth") if table else ("bandwidth",)
+    rejected = (*_DRAWN, "bandwidth") if table else ("bandwidth",)
     what = "a table of delays" if table else "a Mahimahi file"
     allowed = "delay and blackouts" if table else "all but bandwidth"
-    for field in refused:
+    for field in rejected:
         if getattr(settings, field):
             yield Fault(
                 f"{path}{field}",

@@ -20,14 +20,14 @@ _BRANCHES = 3
 
 
 def choice(functions: Sequence[Function]) -> Function:
-    """Return a function for compiled code: `call(place, inputs)` calls the function at this index with the inputs.
+    """Return a function for compiled code: `call(index, inputs)` calls the function at this index with the inputs.
 
     Args:
         functions: Compiled functions with the same arguments and results.
     """
 
-    def call(place: Any, inputs: Any) -> Any:
-        return functions[place](*inputs)
+    def call(index: Any, inputs: Any) -> Any:
+        return functions[index](*inputs)
 
     def chain(k: int) -> Function:
         function = functions[k]
@@ -37,19 +37,19 @@ def choice(functions: Sequence[Function]) -> Function:
         others = chain(k + 1)
 
         @register_jitable
-        def choose(place: Any, inputs: Any) -> Any:
-            if place == k:
+        def choose(index: Any, inputs: Any) -> Any:
+            if index == k:
                 return function(*inputs)
-            return others(place, inputs)
+            return others(index, inputs)
 
         return choose
 
     @overload(call, jit_options={"error_model": "numpy"})
-    def _call(place: Any, inputs: Any) -> Function:
+    def _call(index: Any, inputs: Any) -> Function:
         choose = chain(0)
 
-        def chosen(place: Any, inputs: Any) -> Any:
-            return choose(place, inputs)
+        def chosen(index: Any, inputs: Any) -> Any:
+            return choose(index, inputs)
 
         return chosen
 

@@ -36,10 +36,10 @@ def noise_range(scenario: Scenario, uav: Uav) -> tuple[float, float]:
     noise, limits = scenario.detections.noise, altitude_limits(scenario, uav)
     if limits is None:
         return noise, noise
-    reference, reach = scenario.camera.reference_altitude, scenario.sensor.range
+    reference, sensing_range = scenario.camera.reference_altitude, scenario.sensor.range
     return (
         float(noise_at(noise, reference, 0.0, limits.min_altitude)),
-        float(noise_at(noise, reference, reach, limits.max_altitude)),
+        float(noise_at(noise, reference, sensing_range, limits.max_altitude)),
     )
 
 

@@ -51,7 +51,7 @@ class Clearance(NamedTuple):
 class Progress(NamedTuple):
     """Mission progress of one UGV, a row of a table."""
 
-    way: float
+    driven: float
     """Distance driven [m]."""
     seen_length: float
     """Distance driven on tiles that had been received by radio [m]."""
@@ -65,7 +65,7 @@ class Progress(NamedTuple):
     ticks under a driver that guarantees none.
     """
     near: bool
-    """True if it came nearer on its way to this tick."""
+    """True if it came nearer between the previous tick and this one."""
     certified: int
     path_unknown: int
     no_stop: int
@@ -109,7 +109,7 @@ class GroundState(NamedTuple):
     """`HazardRow`: the scenario's hazards, the buildings, then the random hazards. Shape (worlds, hazards)."""
     tiles: TileArray
     """True state of each tile. Shape (worlds, rows, columns)."""
-    looked: npt.NDArray[np.float32]
+    tile_coverage: npt.NDArray[np.float32]
     """C of (3) of each single UAV at the tiles' centers. Shape (worlds, UAVs, rows, columns)."""
     known: TileArray
     """State of each tile as reported by each vehicle's own sensor. Shape (worlds, vehicles, rows, columns)."""
@@ -182,7 +182,7 @@ def ground_of(scenario: Scenario, worlds: int, rows: int = 1) -> GroundState | N
         ),
         hazards=np.repeat(tables.hazards[None], worlds, axis=0),
         tiles=np.repeat(tables.tiles[None], worlds, axis=0),
-        looked=np.zeros((worlds, uavs, *size), np.float32),
+        tile_coverage=np.zeros((worlds, uavs, *size), np.float32),
         known=np.zeros((worlds, vehicles, *size), np.uint8),
         seen=np.zeros((worlds, vehicles, _room(scenario, tables.tiles.size)), np.int32),
         report_counts=np.zeros((worlds, vehicles), np.int64),
@@ -239,5 +239,5 @@ def _parameters(scenario: Scenario, buildings: range) -> GroundParameters:
 
 def _room(scenario: Scenario, tiles: int) -> int:
     """Return the largest number of tiles that a vehicle reports in a tick."""
-    reach = max(scenario.sensor.range, scenario.ground.sensing_range)
-    return min(tiles, (2 * math.ceil(reach / scenario.ground.tile) + 3) ** 2)
+    longest_range = max(scenario.sensor.range, scenario.ground.sensing_range)
+    return min(tiles, (2 * math.ceil(longest_range / scenario.ground.tile) + 3) ** 2)

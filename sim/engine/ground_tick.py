@@ -11,7 +11,7 @@ from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import row_of
 from sim.engine.ground_state import GroundParameters, GroundState
 from sim.engine.space_tick import view_of
-from sim.engine.world_state import BatchState, BatchTables, Vehicle, WorldParameters
+from sim.engine.world_state import BatchState, BatchTables, Rows, Vehicle, WorldParameters
 from sim.models.field import accumulate
 from sim.models.ground import CERTIFIED, CLEAR, UNSEEN, TileArray, state_at, tile_index
 from sim.models.hazards import BLOCK, ROUGH, crosses_hazard, rough_share
@@ -24,10 +24,10 @@ _POINTS = 8
 
 
 @compiled
-def _tile_range(center: float, reach: float, tile: float, count: int) -> tuple[int, int]:
-    """Return the range of tiles on one axis with a point within `reach` [m] of the center: first and end."""
-    first = math.ceil((center - reach) / tile) - 1
-    last = math.floor((center + reach) / tile)
+def _tile_range(center: float, margin: float, tile: float, count: int) -> tuple[int, int]:
+    """Return the range of tiles on one axis with a point within `margin` [m] of the center: first and end."""
+    first = math.ceil((center - margin) / tile) - 1
+    last = math.floor((center + margin) / tile)
     return max(0, first), min(count, last + 1)
 
 
@@ -64,7 +64,7 @@ def _update_sensor(
     one: Vehicle,
     sensor: SensorParameters,
     occlusion: Occlusion | None,
-    place: tuple[int, int, int],
+    rows: Rows,
 ) -> None:
     """Update a UAV's ground sensor at its reference position.
 
@@ -74,14 +74,14 @@ def _update_sensor(
         one: The UAV.
         sensor: Its sensor, at its altitude.
         occlusion: Buildings, as seen from there; None: there are none.
-        place: World, row among the UAVs, and row among the vehicles.
+        rows: Rows of the UAV.
     """
-    world, uav, vehicle = place
+    world, uav, vehicle = rows
     settings = ground.parameters[0]
     x, y = one.reference_position[0], one.reference_position[1]
-    looked, known = ground.looked[world, uav], ground.known[world, vehicle]
+    tile_coverage, known = ground.tile_coverage[world, uav], ground.known[world, vehicle]
     accumulate(
-        looked,
+        tile_coverage,
         x,
         y,
         sensor,
@@ -89,16 +89,16 @@ def _update_sensor(
         settings.period * numbers.dt,
         occlusion,
     )
-    first_row, end_row = _tile_range(y, sensor.sensing_range, settings.tile, looked.shape[0])
-    first, end = _tile_range(x, sensor.sensing_range, settings.tile, looked.shape[1])
+    first_row, end_row = _tile_range(y, sensor.sensing_range, settings.tile, tile_coverage.shape[0])
+    first, end = _tile_range(x, sensor.sensing_range, settings.tile, tile_coverage.shape[1])
     for row in range(first_row, end_row):
-        sums, states, news = looked[row, first:end], known[row, first:end], 0
+        sums, states, news = tile_coverage[row, first:end], known[row, first:end], 0
         for i in range(sums.size):  # count first, vectorized: mostly there are none
             news += 1 if (sums[i] >= numbers.desired) & (states[i] == UNSEEN) else 0
         if news == 0:
             continue
         for column in range(first, end):
-            if known[row, column] == UNSEEN and looked[row, column] >= numbers.desired:
+            if known[row, column] == UNSEEN and tile_coverage[row, column] >= numbers.desired:
                 true = ground.tiles[world, row, column]
                 reported = _reported_state(settings, true, one.keys, row, column)
                 _report(ground, world, vehicle, row, column, reported)
@@ -211,13 +211,13 @@ def drive_on(numbers: WorldParameters, ground: GroundState, state: BatchState, w
     for n in range(ground.ugvs.shape[0]):
         v, start = ground.ugvs[n], ground.before[world, n]
         vehicle = state.vehicles[world, v]
-        place, velocity = vehicle.reference_position, vehicle.reference_velocity
+        position, velocity = vehicle.reference_position, vehicle.reference_velocity
         if _enters_unknown(
             parameters.tile,
             ground.tiles[world] if parameters.mapped else ground.known[world, v],
             ground.radioed[world, n],
             start,
-            place,
+            position,
             (numbers.dt * velocity[0], numbers.dt * velocity[1]),
         ):
             row = ground.missions[world, n]
@@ -225,14 +225,14 @@ def drive_on(numbers: WorldParameters, ground: GroundState, state: BatchState, w
             row.broken += 1 if row.claim == CERTIFIED and row.untrue == 0 else 0
         if ground.pace[world, v] == 0.0:
             continue
-        stuck, share = _contact(ground, world, n, start, place)
+        stuck, share = _contact(ground, world, n, start, position)
         if stuck:
             ground.pace[world, v] = 0.0
             for i in range(2):
-                place[i] = start[i] + share * (place[i] - start[i])
+                position[i] = start[i] + share * (position[i] - start[i])
                 velocity[i] = 0.0
             continue
-        x, y = place[0], place[1]
+        x, y = position[0], position[1]
         ground.pace[world, v] = 1.0
         if state_at(ground.tiles[world], parameters.tile, x, y) in (ROUGH, BLOCK):
             ground.pace[world, v] = rough_share(ground.hazards[world], ground.corners, x, y)
@@ -242,8 +242,8 @@ def drive_on(numbers: WorldParameters, ground: GroundState, state: BatchState, w
 def store_positions(ground: GroundState, state: BatchState, world: int) -> None:
     """Store the UGVs' positions before they move."""
     for n in range(ground.ugvs.shape[0]):
-        here = state.vehicles[world, ground.ugvs[n]].reference_position
-        ground.before[world, n, 0], ground.before[world, n, 1] = here[0], here[1]
+        position = state.vehicles[world, ground.ugvs[n]].reference_position
+        ground.before[world, n, 0], ground.before[world, n, 1] = position[0], position[1]
 
 
 @compiled
@@ -260,6 +260,6 @@ def perceive_ground(
             v = escorts[u, 0]
             one = state.vehicles[world, v]
             sensor, occlusion = view_of(tables.cameras, numbers, state.buildings, world, u, one)
-            _update_sensor(numbers, ground, one, sensor, occlusion, (world, u, v))
+            _update_sensor(numbers, ground, one, sensor, occlusion, Rows(world, u, v))
     for n in range(ground.ugvs.shape[0]):
         _sense_near(ground, state.vehicles[world, ground.ugvs[n]], world, ground.ugvs[n])

@@ -115,10 +115,10 @@ def receive_block(
         states: States of its tiles, row by row. Shape (BLOCK_SIDE * BLOCK_SIDE,).
     """
     received = ground.received[world, ugv]
-    for place in range(states.shape[0]):
-        state = states[place]
-        row = block[0] * BLOCK_SIDE + place // BLOCK_SIDE
-        column = block[1] * BLOCK_SIDE + place % BLOCK_SIDE
+    for k in range(states.shape[0]):
+        state = states[k]
+        row = block[0] * BLOCK_SIDE + k // BLOCK_SIDE
+        column = block[1] * BLOCK_SIDE + k % BLOCK_SIDE
         if state == UNSEEN or row >= received.shape[0] or column >= received.shape[1]:
             continue
         true, before = ground.tiles[world, row, column], ground.radioed[world, ugv, row, column]
@@ -202,16 +202,16 @@ def _drive(
     row.near_building += 1 if row.near else 0
     row.near_excused += 1 if row.near and not ground.clearances[ugv].guaranteed else 0
     if tick > 0:
-        way = norm(x - start[0], y - start[1])
+        driven = norm(x - start[0], y - start[1])
         tile, (rows, columns) = ground.parameters[0].tile, ground.tiles[world].shape
         received = ground.received[
             world, ugv, tile_index(y, tile, rows), tile_index(x, tile, columns)
         ]
-        row.way += way
-        row.seen_length += way if 0 < received <= tick else 0.0
+        row.driven += driven
+        row.seen_length += driven if 0 < received <= tick else 0.0
         if (
             row.arrived < 0
-            and way < _STILL * ground.strides[row_of(ground.strides.shape[0], world), ugv]
+            and driven < _STILL * ground.strides[row_of(ground.strides.shape[0], world), ugv]
         ):
             row.still += 1
     if row.reached < goals.shape[0]:
@@ -271,7 +271,7 @@ def mission_of(
     before = met & (warned > 0) & (warned < ground.met[world])
     bound_for = np.diff(goal_rows) > 0
     arrived = bool(bound_for.any() and (ugvs["arrived"][bound_for] >= 0).all())
-    way, ahead = float(ugvs["way"].sum()), (ground.met[world] - warned)[before]
+    driven, ahead = float(ugvs["driven"].sum()), (ground.met[world] - warned)[before]
     near = (ground.nearest[world] < NEAR_MISS) & (ground.hits[world] == 0) & blocks
     finds, declared = kinds == FOUND, bool(ground.clearances["declared"].any())
     guarantees = {name: _guarantee(row) for name, row in zip(names, ugvs, strict=True)}
@@ -285,7 +285,7 @@ def mission_of(
         hazards_on_path=int(met.sum()),
         warned=int(before.sum()),
         mean_warning_time=float(ahead.mean() * dt) if ahead.size else None,
-        reported_share=float(ugvs["seen_length"].sum()) / way if way > 0.0 else None,
+        reported_share=float(ugvs["seen_length"].sum()) / driven if driven > 0.0 else None,
         ground_certified_share=certified / reported if reported else None,
         entered_unknown_tile=int(ugvs["entered"].sum()),
         ground_certificate_broken=int(ugvs["broken"].sum()),

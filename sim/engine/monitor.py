@@ -64,6 +64,17 @@ class ArrivalRecord:
     """Largest norm of a detection error, relative to the true relative position [m]."""
 
 
+class Evidence(NamedTuple):
+    """True state of a tick; the arrays change during the run."""
+
+    arrivals: RecordArray
+    """`ArrivalRecord` of each UAV. Shape (UAVs,)."""
+    vehicles: RecordArray
+    """`Vehicle`. Shape (vehicles,)."""
+    flown: RecordArray
+    """Active `CheckedTrajectory` of each vehicle. Shape (vehicles,)."""
+
+
 class Claim(NamedTuple):
     """Claim of a safety filter at one tick, with its true state."""
 
@@ -116,10 +127,10 @@ def reset_filter(counts: CertificateCounters) -> None:
 
 @compiled
 def record_arrival(
-    bounds: SafetyBounds, counts: CertificateCounters, taken: int, error: float
+    bounds: SafetyBounds, counts: CertificateCounters, measured: int, error: float
 ) -> None:
-    """Record a detection of the tick `taken` that has reached the UAV, with its error [m]."""
-    counts.newest = max(counts.newest, taken)
+    """Record a detection of the tick `measured` that has reached the UAV, with its error [m]."""
+    counts.newest = max(counts.newest, measured)
     counts.errors_kept = counts.errors_kept and error <= bounds.max_measurement_error + _ROUNDING
 
 
@@ -137,31 +148,31 @@ def _confirm(bounds: SafetyBounds, counts: CertificateCounters, tick: int) -> No
 
 @compiled
 def record_decision(
-    bounds: SafetyBounds, counts: CertificateCounters, tick: int, said: Claim
+    bounds: SafetyBounds, counts: CertificateCounters, tick: int, claim: Claim
 ) -> None:
     """Record a tick in which a safety filter supervises the UAV, after its arrivals."""
-    held = (
+    bounds_kept = (
         counts.errors_kept
         and counts.tracking_kept
         and counts.interval_kept
         and tick - counts.newest <= bounds.max_age_ticks
     )
     counts.ticks += 1
-    if said.overridden:
+    if claim.overridden:
         counts.overridden += 1
-    if said.certified and not said.clear:
+    if claim.certified and not claim.clear:
         counts.revoked += 1
-        if said.lost:
+        if claim.lost:
             counts.lost_without_clearance += 1
-    elif said.certified:
+    elif claim.certified:
         counts.certified += 1
-        if said.lost:
+        if claim.lost:
             counts.certified_while_lost += 1
-    elif said.current and counts.certified_before and held:
+    elif claim.current and counts.certified_before and bounds_kept:
         counts.suspected += 1
         counts.since = tick
         _confirm(bounds, counts, tick - 1)
-    counts.certified_before = said.certified and said.current
+    counts.certified_before = claim.certified and claim.current
 
 
 @compiled
@@ -226,25 +237,27 @@ def record_tracking_error(bounds: RecordArray, counts: RecordArray, uav: int, of
 @compiled
 def record_tick(
     tables: tuple[RecordArray, RecordArray],
-    evidence: tuple[RecordArray, RecordArray, RecordArray],
-    place: tuple[int, int, int],
+    evidence: Evidence,
+    uav: int,
+    vehicle: int,
+    tick: int,
     answers: bool,
-    said: tuple[bool, bool, bool, bool, bool],
+    claim: Claim,
 ) -> None:
     """Call `record_arrival`, `record_decision` and `record_interval` for one UAV, from Python.
 
     Args:
         tables: `SafetyBounds` and `CertificateCounters` of all UAVs.
-        evidence: True state of this tick: `ArrivalRecord` of each UAV, `Vehicle` and active `CheckedTrajectory` of each
-            vehicle.
-        place: Row among the UAVs, row among all vehicles, and the tick.
+        evidence: True state of this tick.
+        uav, vehicle: Row among the UAVs, and row among all vehicles.
+        tick: The tick.
         answers: True if it has a new command; without one, its detections count as not received.
-        said: A `Claim`.
+        claim: Claim of its filter.
     """
-    (bounds, counts), (arrivals, vehicles, flown), (uav, vehicle, tick) = tables, evidence, place
+    (bounds, counts), (arrivals, vehicles, flown) = tables, evidence
     b, c = bounds[uav], counts[uav]
     if answers:
         record_arrival(b, c, arrivals[uav].newest, arrivals[uav].error)
-    record_decision(b, c, tick, Claim(said[0], said[1], said[2], said[3], said[4]))
+    record_decision(b, c, tick, claim)
     bare = vehicles[vehicle].command_tick if flown[vehicle].plain == 1 else NEVER
     record_interval(b, c, tick, flown[vehicle].begins, bare)

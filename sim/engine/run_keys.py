@@ -92,15 +92,15 @@ def derive_keys(seeds: Iterable[int], vehicles: int, secret: str = "") -> WordAr
         Two words for each purpose and vehicle. Shape (seeds, RUN_PURPOSES, vehicles, 2).
     """
     base = blake2b(digest_size=16, key=bytes.fromhex(secret), person=_PERSON)
-    places = [
+    suffixes = [
         _PLACE.pack(purpose, row) for purpose in range(RUN_PURPOSES) for row in range(vehicles)
     ]
     digests = []
     for seed in seeds:
         prefix = _SEED.pack(seed)
-        for place in places:
+        for suffix in suffixes:
             digest = base.copy()
-            digest.update(prefix + place)
+            digest.update(prefix + suffix)
             digests.append(digest.digest())
     words = np.frombuffer(b"".join(digests), dtype="<u8").astype(np.uint64)
     return words.reshape(-1, RUN_PURPOSES, vehicles, 2)
@@ -108,5 +108,5 @@ def derive_keys(seeds: Iterable[int], vehicles: int, secret: str = "") -> WordAr
 
 def derive_key(seed: int, purpose: int, vehicle: int, secret: str = "") -> str:
     """Derive one key in the form of a message: 32 hexadecimal digits, the first word's bytes first."""
-    key, place = bytes.fromhex(secret), _PLACE.pack(purpose, vehicle)
-    return blake2b(_SEED.pack(seed) + place, digest_size=16, key=key, person=_PERSON).hexdigest()
+    key, suffix = bytes.fromhex(secret), _PLACE.pack(purpose, vehicle)
+    return blake2b(_SEED.pack(seed) + suffix, digest_size=16, key=key, person=_PERSON).hexdigest()

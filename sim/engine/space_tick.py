@@ -6,9 +6,9 @@ from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.compiling.dispatch import unless_none
 from sim.compiling.records import RecordArray
 from sim.engine.space_state import TownState, TownTables, building_rows
-from sim.engine.world_state import BatchState, Vehicle, WorldParameters
-from sim.models.altitude import level_off, step_altitude
-from sim.models.buildings import line_of_sight, path_meets_building, sees_corner
+from sim.engine.world_state import BatchState, Rows, Vehicle, WorldParameters
+from sim.models.altitude import VerticalLimits, level_off, step_altitude
+from sim.models.buildings import CameraPosition, line_of_sight, path_meets_building, sees_corner
 from sim.models.camera import (
     CameraParameters,
     noise_at,
@@ -43,32 +43,34 @@ def discover(
     buildings: TownTables,
     cameras: RecordArray,
     numbers: WorldParameters,
-    place: tuple[int, int, int],
+    rows: Rows,
+    tick: int,
     uav: Vehicle,
 ) -> None:
     """Record the buildings of which a UAV has now seen all corners; do nothing without buildings.
 
-    Like a ground sensor, it looks from the reference position. `place`: world, row among the UAVs, and tick.
+    Like a ground sensor, its camera observes from the reference position.
     """
-    world, k, tick = place
+    world, k = rows.world, rows.uav
     if not uav.vertical.flies:
         return
     x, y, z = uav.reference_position[0], uav.reference_position[1], uav.vertical.altitude
-    reach = range_at(numbers.sensor.sensing_range, cameras[k].tangent, z)
-    rows, corners = building_rows(buildings, world), buildings.corners
+    sensing_range = range_at(numbers.sensor.sensing_range, cameras[k].tangent, z)
+    table, corners = building_rows(buildings, world), buildings.corners
+    camera = CameraPosition(x, y, z)
     known, sighted = town.known[world, k], town.sighted[world, k]
-    for n in range(rows.shape[0]):
-        row = rows[n]
+    for n in range(table.shape[0]):
+        row = table[n]
         if row["height"] == 0.0 or known[n]:
             continue
-        d_x, d_y, far = row["x"] - x, row["y"] - y, row["bounding_radius"] + reach
+        d_x, d_y, far = row["x"] - x, row["y"] - y, row["bounding_radius"] + sensing_range
         if d_x * d_x + d_y * d_y > far * far:
             continue
         missing = 0
         for i in range(row["corners"]):
             if not sighted[n, i]:
                 corner = row["first"] + i
-                sighted[n, i] = sees_corner(rows, corners, n, corner, (x, y, z), reach)
+                sighted[n, i] = sees_corner(table, corners, n, corner, camera, sensing_range)
             missing += 0 if sighted[n, i] else 1
         if missing == 0:
             known[n] = True
@@ -118,11 +120,11 @@ def measure_sight(
 
 
 @compiled
-def look(
+def update_coverage(
     numbers: WorldParameters,
     state: BatchState,
     cameras: RecordArray | None,
-    place: tuple[int, int],
+    rows: Rows,
     uav: Vehicle,
     ugv: Vehicle,
 ) -> None:
@@ -132,10 +134,10 @@ def look(
         numbers: Parameters of the world.
         state: State of all worlds; coverage and the UAV's gain are changed.
         cameras: `CameraParameters` of each UAV; None: they fly in the plane.
-        place: World, and row among the UAVs.
+        rows: Rows of the UAV.
         uav, ugv: The UAV and its UGV in the world.
     """
-    world, k = place
+    world, k = rows.world, rows.uav
     coverage = state.coverage[world]
     sensor, occlusion = view_of(cameras, numbers, state.buildings, world, k, uav)
     x, y = uav.position[0], uav.position[1]
@@ -153,7 +155,8 @@ def run_detector(
     cameras: RecordArray | None,
     numbers: WorldParameters,
     buildings: TownTables | None,
-    place: tuple[int, int, int],
+    rows: Rows,
+    tick: int,
     uav: Vehicle,
     ugv: Vehicle,
 ) -> None:
@@ -163,24 +166,25 @@ def run_detector(
         cameras: `CameraParameters` of each UAV; None: they fly in the plane.
         numbers: Parameters of the world.
         buildings: Buildings; None: there are none.
-        place: World, row among the UAVs, and tick.
+        rows: Rows of the UAV.
+        tick: The tick.
         uav, ugv: The UAV, whose detection is changed, and its UGV.
     """
-    world, k, tick = place
+    world, k = rows.world, rows.uav
     x, y = uav.position[0] - ugv.position[0], uav.position[1] - ugv.position[1]
-    radius, reach, noise = numbers.r_v, numbers.sensor.sensing_range, numbers.sigma
+    radius, sensing_range, noise = numbers.r_v, numbers.sensor.sensing_range, numbers.sigma
     if cameras is not None:
         camera, z = cameras[k], uav.vertical.altitude
         if not _sees(buildings, world, camera, uav, ugv):
             return
         radius = visibility_radius_at(numbers.r_v, camera.tangent, camera.marker_height, z)
-        reach = range_at(numbers.sensor.sensing_range, camera.tangent, z)
+        sensing_range = range_at(numbers.sensor.sensing_range, camera.tangent, z)
         noise = noise_at(numbers.sigma, camera.reference_height, norm(x, y), z)
     _, uav.detection[0], uav.detection[1] = detect(
         x,
         y,
         radius,
-        reach,
+        sensing_range,
         numbers.dropout,
         noise,
         numbers.cut,
@@ -207,7 +211,7 @@ def _roof_below(
 
 
 @compiled
-def keep_places(
+def store_uav_positions(
     state: BatchState, cameras: RecordArray | None, escorts: IntArray, world: int
 ) -> None:
     """Store the positions of UAVs with an altitude before they move."""
@@ -233,33 +237,35 @@ def _climb(
         world: Index of the world.
         uav: The UAV, after its horizontal motion.
     """
-    own = uav.vertical
-    start = own.before[0], own.before[1]
-    command = own.command
+    vertical = uav.vertical
+    start = vertical.before[0], vertical.before[1]
+    command = vertical.command
     if math.isnan(command):
-        command = level_off(own.rate, own.max_acceleration, numbers.dt)
-    limits = own.lowest, own.highest, own.max_rate, own.max_acceleration
-    own.altitude, own.rate, own.acceleration = step_altitude(
-        own.altitude, own.rate, command, limits, numbers.dt
+        command = level_off(vertical.rate, vertical.max_acceleration, numbers.dt)
+    limits = VerticalLimits(
+        vertical.lowest, vertical.highest, vertical.max_rate, vertical.max_acceleration
+    )
+    vertical.altitude, vertical.rate, vertical.acceleration = step_altitude(
+        vertical.altitude, vertical.rate, command, limits, numbers.dt
     )
     if buildings is None:
         return
     rows, corners = building_rows(buildings, world), buildings.corners
     roof = _roof_below(rows, corners, uav, start[0], start[1])
-    if own.altitude < roof:
-        own.altitude, own.rate = roof, max(own.rate, 0.0)
-        own.contacts += 1
-    place = uav.reference_position
-    end = place[0], place[1]
-    height = own.altitude - own.clearance
+    if vertical.altitude < roof:
+        vertical.altitude, vertical.rate = roof, max(vertical.rate, 0.0)
+        vertical.contacts += 1
+    position = uav.reference_position
+    end = position[0], position[1]
+    height = vertical.altitude - vertical.clearance
     share = path_meets_building(rows, corners, start, end, height)
     if share <= 1.0:
         length = norm(end[0] - start[0], end[1] - start[1])
         share = max(0.0, share - _OFF_WALL / length) if length > 0.0 else 0.0
         for i in range(2):
-            place[i] = start[i] + share * (end[i] - start[i])
+            position[i] = start[i] + share * (end[i] - start[i])
             uav.reference_velocity[i] = 0.0
-        own.contacts += 1
+        vertical.contacts += 1
 
 
 @compiled

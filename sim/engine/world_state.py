@@ -38,12 +38,22 @@ class WorldParameters(NamedTuple):
     cut: float
     dropout: float
     period: int
-    hold_ticks: int
+    timeout_ticks: int
     """Ticks for which the last command stays in effect when no new one arrives."""
     gains: bool
     """True to compute the decrease of e(t) by each sensor update."""
     discovers: bool
     """True if UAVs discover buildings; False: they are briefed on all."""
+
+
+class Rows(NamedTuple):
+    """Rows of one UAV."""
+
+    world: int
+    """Index of its world."""
+    uav: int
+    vehicle: int
+    """Row among the UAVs, and among all vehicles."""
 
 
 def world_parameters(scenario: Scenario, *, gains: bool = False) -> WorldParameters:
@@ -61,7 +71,7 @@ def world_parameters(scenario: Scenario, *, gains: bool = False) -> WorldParamet
         cut=float(scenario.detections.truncation),
         dropout=float(scenario.detections.dropout),
         period=scenario.detection_period,
-        hold_ticks=round(scenario.command_timeout / scenario.dt),
+        timeout_ticks=round(scenario.command_timeout / scenario.dt),
         gains=gains,
         discovers=bool(
             scenario.building_field or (scenario.building and not scenario.buildings.known)

@@ -14,12 +14,12 @@ from sim.engine.mission import record_mission
 from sim.engine.space_tick import (
     climb_all,
     discover,
-    keep_places,
-    look,
     measure_sight,
     run_detector,
+    store_uav_positions,
+    update_coverage,
 )
-from sim.engine.world_state import BatchState, BatchTables, Vehicle, WorldParameters
+from sim.engine.world_state import BatchState, BatchTables, Rows, Vehicle, WorldParameters
 from sim.models.field import coverage_error
 from sim.models.inner_loop import step_error
 from sim.models.randomness import DISTURBANCE, key_of
@@ -31,10 +31,10 @@ from sim.models.wind import draw_disturbance
 @compiled
 def _step(numbers: WorldParameters, vehicle: Vehicle, max_speed: float) -> None:
     """Advance the reference state of a vehicle by one tick, (1)."""
-    place, velocity = vehicle.reference_position, vehicle.reference_velocity
+    position, velocity = vehicle.reference_position, vehicle.reference_velocity
     p_x, p_y, v_x, v_y, u_x, u_y = step_vehicle(
-        place[0],
-        place[1],
+        position[0],
+        position[1],
         velocity[0],
         velocity[1],
         vehicle.command[0],
@@ -43,8 +43,8 @@ def _step(numbers: WorldParameters, vehicle: Vehicle, max_speed: float) -> None:
         vehicle.max_acceleration,
         numbers.dt,
     )
-    place[0], velocity[0] = within_walls(p_x, v_x, numbers.width)
-    place[1], velocity[1] = within_walls(p_y, v_y, numbers.height)
+    position[0], velocity[0] = within_walls(p_x, v_x, numbers.width)
+    position[1], velocity[1] = within_walls(p_y, v_y, numbers.height)
     vehicle.acceleration[0], vehicle.acceleration[1] = u_x, u_y
 
 
@@ -117,13 +117,13 @@ def _record_arrival(
     """
     rows = trajectories.shape[2]
     for begins in range(max(0, last - min(carried, rows) + 1), last + 1):
-        motion = trajectories[world, vehicle, begins % rows]
-        if motion.begins == begins:
-            motion.arrived = 1
+        trajectory = trajectories[world, vehicle, begins % rows]
+        if trajectory.begins == begins:
+            trajectory.arrived = 1
 
 
 @inlined
-def _fly_motion(numbers: WorldParameters, state: BatchState, world: int, v: int) -> bool:
+def _follow_trajectory(numbers: WorldParameters, state: BatchState, world: int, v: int) -> bool:
     """Execute this tick's trajectory if it has arrived and follows the active one, else the rest of the active one.
 
     Returns:
@@ -203,9 +203,9 @@ def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None
     for v in range(state.vehicles.shape[1]):
         vehicle = state.vehicles[world, v]
         _exchange_commands(state, tables.traces, world, v, uavs + v)
-        if vehicle.follows_trajectories and _fly_motion(numbers, state, world, v):
+        if vehicle.follows_trajectories and _follow_trajectory(numbers, state, world, v):
             continue
-        if state.ticks[world] - vehicle.command_tick > numbers.hold_ticks:
+        if state.ticks[world] - vehicle.command_tick > numbers.timeout_ticks:
             velocity = vehicle.reference_velocity
             vehicle.command[0], vehicle.command[1] = brake(
                 velocity[0], velocity[1], vehicle.max_acceleration, numbers.dt
@@ -241,11 +241,11 @@ def _perceive(
         ugv = state.vehicles[world, tables.escorts[u, 1]]
         uav.detection[0], uav.detection[1] = np.nan, np.nan
         tick = state.ticks[world]
-        place = world, u, tick
+        rows = Rows(world, u, tables.escorts[u, 0])
         if numbers.discovers:
-            discover(state.town, state.buildings, tables.cameras, numbers, place, uav)
+            discover(state.town, state.buildings, tables.cameras, numbers, rows, tick, uav)
         if tick % numbers.period == 0:
-            run_detector(tables.cameras, numbers, state.buildings, place, uav, ugv)
+            run_detector(tables.cameras, numbers, state.buildings, rows, tick, uav, ugv)
 
 
 @inlined
@@ -255,7 +255,7 @@ def move(tables: BatchTables, state: BatchState, ground: GroundState | None, wor
     state.ticks[world] += 1
     if ground is not None:
         store_positions(ground, state, world)
-    keep_places(state, tables.cameras, tables.escorts, world)
+    store_uav_positions(state, tables.cameras, tables.escorts, world)
     _move(numbers, state.vehicles, ground, world)
     climb_all(numbers, state, tables.cameras, tables.escorts, world)
     if ground is not None:
@@ -268,9 +268,9 @@ def move(tables: BatchTables, state: BatchState, ground: GroundState | None, wor
         step_error(tables.disturbances[row, u].loop, disturbed.disturbance, numbers.dt)
         apply_disturbance(disturbed)
     for u in range(tables.escorts.shape[0]):
-        uav, ugv = tables.escorts[u, 0], tables.escorts[u, 1]
-        vehicles = state.vehicles[world]
-        look(numbers, state, tables.cameras, (world, u), vehicles[uav], vehicles[ugv])
+        rows, vehicles = Rows(world, u, tables.escorts[u, 0]), state.vehicles[world]
+        uav, ugv = vehicles[rows.vehicle], vehicles[tables.escorts[u, 1]]
+        update_coverage(numbers, state, tables.cameras, rows, uav, ugv)
     _perceive(tables, state, ground, world)
 
 

@@ -47,7 +47,7 @@ def take_actions(actions: Mapping[str, npt.ArrayLike], lengths: Lengths) -> list
     if len(actions) != len(lengths) or any(name not in actions for name in lengths):
         given = ", ".join(map(str, actions)) or "none"
         raise ValueError(f"actions for: {given}; required: one for each of {', '.join(lengths)}")
-    taken = []
+    rows = []
     for name, length in lengths.items():
         values = _numbers(name, actions[name], length)
         if not all(-LARGEST <= value <= LARGEST for value in values):
@@ -55,8 +55,8 @@ def take_actions(actions: Mapping[str, npt.ArrayLike], lengths: Lengths) -> list
                 f"action of {name} = {values}: not in range; allowed: {_COUNTS[length]} finite numbers of at most "
                 f"{LARGEST:g} m/s²"
             )
-        taken.append([*values, 0.0][:3])
-    return taken
+        rows.append([*values, 0.0][:3])
+    return rows
 
 
 def _numbers(name: str, action: npt.ArrayLike, length: int) -> list[float]:

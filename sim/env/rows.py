@@ -81,7 +81,7 @@ class RowTables(NamedTuple):
     """`EpisodeParameters`. Shape (1,)."""
     weights: RecordArray
     """`RewardWeights`. Shape (1,)."""
-    place: IntArray
+    kind_row: IntArray
     """Row of each vehicle among the UAVs, or -1 - its row among the UGVs. Shape (vehicles,)."""
 
 
@@ -120,13 +120,13 @@ def row_tables(scenario: Scenario, settings: Settings, *, error: bool) -> RowTab
     return RowTables(
         episode=records(EpisodeParameters, [episode]),
         weights=records(RewardWeights, [settings.rewards]),
-        place=np.where(flies, np.cumsum(flies) - 1, -np.cumsum(~flies)).astype(np.int64),
+        kind_row=np.where(flies, np.cumsum(flies) - 1, -np.cumsum(~flies)).astype(np.int64),
     )
 
 
 def row_state(tables: RowTables, worlds: int) -> RowState:
     """Return the state of all worlds before the first sensor update."""
-    vehicles, ugvs = len(tables.place), int((tables.place < 0).sum())
+    vehicles, ugvs = len(tables.kind_row), int((tables.kind_row < 0).sum())
     return RowState(
         standings=fresh(Standing, (worlds, vehicles)),
         uav_rows=np.zeros((worlds, vehicles - ugvs), dtype=record_type(UAV + ALTITUDE + GRADIENT)),
@@ -181,8 +181,8 @@ def _measure_ugv(
     row.nearer, row.arrivals = 0.0, 0
     if reached < goals.shape[0]:
         if not beginning:
-            way = norm(x - goals[reached, 0], y - goals[reached, 1])
-            row.nearer = row.to_go - way
+            to_go = norm(x - goals[reached, 0], y - goals[reached, 1])
+            row.nearer = row.to_go - to_go
         now, row.to_go = next_goal(goals, reached, bt.tolerances[ugv], x, y)
         row.arrivals, row.reached = now - reached, now
 
@@ -213,15 +213,15 @@ def _pay(
 ) -> None:
     """Compute each vehicle's reward of this tick: the sum of its terms, in order."""
     episode, weights, dt = tables.episode[0], tables.weights[0], bt.world[0].dt
-    for v in range(tables.place.shape[0]):
+    for v in range(tables.kind_row.shape[0]):
         vehicle = bs.vehicles[world, v]
         acceleration = vehicle.acceleration[0], vehicle.acceleration[1]
         row = state.standings[world, v]
         terms = row.terms
-        if tables.place[v] >= 0:
+        if tables.kind_row[v] >= 0:
             area = 0.0
             if ground is not None:
-                tile, ugv = ground.parameters[0].tile, bt.escorts[tables.place[v], 1]
+                tile, ugv = ground.parameters[0].tile, bt.escorts[tables.kind_row[v], 1]
                 area = tile * tile * state.standings[world, ugv].new_tiles
             terms[0], terms[1], terms[2], terms[3], terms[4], terms[5] = uav_terms(
                 weights,

@@ -16,23 +16,25 @@ def true_metrics(
 ) -> dict[str, npt.NDArray[Any]]:
     """Return a vehicle's true metrics and the terms of its last reward in all worlds: new arrays, shape (worlds,)."""
     number = [vehicle.name for vehicle in scenario.vehicles].index(name)
-    truly, found = state.standings[:, number].copy(), dict[str, npt.NDArray[Any]]()
-    if tables.place[number] >= 0:
-        error = truly["error"] if tables.episode["error"].item() else np.full(len(truly), np.nan)
+    standing, found = state.standings[:, number].copy(), dict[str, npt.NDArray[Any]]()
+    if tables.kind_row[number] >= 0:
+        error = (
+            standing["error"] if tables.episode["error"].item() else np.full(len(standing), np.nan)
+        )
         found = {
-            "distance": truly["distance"],
-            "margin": sight_margin(truly["distance"], truly["sight_radius"]),
-            "max_distance": truly["max_distance"],
-            "visibility_violations": truly["violations"],
+            "distance": standing["distance"],
+            "margin": sight_margin(standing["distance"], standing["sight_radius"]),
+            "max_distance": standing["max_distance"],
+            "visibility_violations": standing["violations"],
             "coverage_error": error,
             "uncovered_share": error / tables.episode["full"].item(),
         }
         terms = UAV_TERMS
     else:
-        found = {"goals_reached": truly["reached"], "way_to_goal": truly["to_go"]}
+        found = {"goals_reached": standing["reached"], "way_to_goal": standing["to_go"]}
         terms = UGV_TERMS
     paid = {
-        f"reward_{term}": truly["terms"][:, n]
+        f"reward_{term}": standing["terms"][:, n]
         for n, term in enumerate(terms)
         if scenario.has_ground or term not in MISSION_TERMS
     }

@@ -108,14 +108,14 @@ class Drawing:
     def draw(
         self,
         world: World,
-        ways: FloatArray,
+        paths: FloatArray,
         routes: Mapping[str, tuple[Vector, ...]] = MappingProxyType({}),
     ) -> npt.NDArray[np.uint8]:
         """Return the picture of a world at this moment. Shape (rows, columns, 3).
 
         Args:
             world: World to draw.
-            ways: Path of each vehicle so far [m]. Shape (ticks, vehicles, 2).
+            paths: Path of each vehicle so far [m]. Shape (ticks, vehicles, 2).
             routes: Planned route of each UGV: its corners [m].
         """
         from sim.scene.frames import Frames  # noqa: PLC0415 - matplotlib is loaded with the first picture
@@ -130,7 +130,7 @@ class Drawing:
         radii = world.vehicles["sight_radius"][world.escorts[:, 0]].tolist()
         heights = world.vertical["altitude"].tolist()
         frame = self._frames.draw(
-            {name: ways[:, k] for k, name in enumerate(world.names)},
+            {name: paths[:, k] for k, name in enumerate(world.names)},
             np.minimum(world.coverage / world.parameters.desired, 1.0),
             time=world.time,
             sight=worst_sight(zip(distances, radii, strict=True)),
@@ -237,6 +237,6 @@ class BatchRendering:
         for k in range(self._batch.worlds):
             world = World.of_batch(self._batch, k, 0)
             last = itertools.islice(reversed(self._tracks), world.tick + 1)
-            ways = np.array([positions[k] for positions in last])[::-1]
-            pictures.append(self._drawing.draw(world, ways))
+            paths = np.array([positions[k] for positions in last])[::-1]
+            pictures.append(self._drawing.draw(world, paths))
         return tuple(pictures)

@@ -43,30 +43,30 @@ def apply_override(raw: dict[str, Any], key: str, value: object, *, file: str) -
         for k in range(len(entries)):
             apply_override(raw, f"{name}.{k}.{field}", value, file=file)
         return
-    *way, last = key.split(".")
+    *path, last = key.split(".")
     table: Any = raw
     try:
-        for depth, part in enumerate(way):
-            place = _key_or_index(table, part, here=".".join(way[:depth]))
-            table = table.setdefault(place, {}) if isinstance(table, dict) else table[place]
-        table[_key_or_index(table, last, here=".".join(way))] = value
+        for depth, part in enumerate(path):
+            entry = _key_or_index(table, part, path=".".join(path[:depth]))
+            table = table.setdefault(entry, {}) if isinstance(table, dict) else table[entry]
+        table[_key_or_index(table, last, path=".".join(path))] = value
     except LookupError as found:
         wrong, allowed = found.args
         raise Fault(key, value, wrong, allowed).error(file) from None
 
 
-def _key_or_index(table: object, part: str, *, here: str) -> str | int:
+def _key_or_index(table: object, part: str, *, path: str) -> str | int:
     """Return the key or index for a part of a path; raise LookupError(wrong, allowed) if there is none."""
     if isinstance(table, dict):
         return part
     if not isinstance(table, list):
         raise LookupError(
-            f"{short(here)} = {shown(table)} is not a table", f"a value for {short(here)} itself"
+            f"{short(path)} = {shown(table)} is not a table", f"a value for {short(path)} itself"
         )
     entries = [str(index) for index in range(len(table))]
     if not entries:
-        raise LookupError(f"{here} has no entries", f"a value for {here} itself")
+        raise LookupError(f"{path} has no entries", f"a value for {path} itself")
     if part not in entries:
-        ends = dict.fromkeys((f"{here}.0", f"{here}.{entries[-1]}"))
-        raise LookupError(f"{here} has no entry {shown(part)}", " to ".join(ends))
+        ends = dict.fromkeys((f"{path}.0", f"{path}.{entries[-1]}"))
+        raise LookupError(f"{path} has no entry {shown(part)}", " to ".join(ends))
     return entries.index(part)

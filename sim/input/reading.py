@@ -128,22 +128,22 @@ def _fault(message: str, raw: Any, kind: type[msgspec.Struct]) -> Fault:  # noqa
     path = [part for part in path if part]
     for part in path:
         raw = raw[int(part)] if isinstance(raw, list | tuple) else raw[part]
-    text, here = text or message, ".".join(path)
+    text, location = text or message, ".".join(path)
     if text.startswith("Object "):
         key = text.partition("`")[2].removesuffix("`")
-        field = f"{here}.{key}" if here else key
+        field = f"{location}.{key}" if location else key
         if "missing" in text:
             needed = _NEEDED.get(f"{path[0]}.{key}" if path else key, _NEEDED.get(key))
             return Fault(field, None, "missing", needed or "[x, y] in m")
         fields = _fields(kind, path)
         meant = near(key, fields)
         if not meant and "parameters" in fields:
-            meant = f", did you mean '{here}.parameters.{key}'?"
+            meant = f", did you mean '{location}.parameters.{key}'?"
         return Fault(field, raw[key], f"unknown field{meant}", ", ".join(fields))
     if where.endswith("[...]`"):  # msgspec does not name the entry of a table
         entry = next(name for name, value in raw.items() if not _is_number(value))
-        here, raw = f"{here}.{entry}", raw[entry]
-    return Fault(here, raw, *_wrong_and_allowed(text, here, raw))
+        location, raw = f"{location}.{entry}", raw[entry]
+    return Fault(location, raw, *_wrong_and_allowed(text, location, raw))
 
 
 def _fields(kind: type[msgspec.Struct], path: list[str]) -> list[str]:

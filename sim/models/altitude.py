@@ -4,12 +4,25 @@ Altitudes above flat ground [m], climb rates [m/s], vertical accelerations [m/s�
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from bus.messages.buildings import AltitudeLimits
 from sim.compiling.compile import compiled
 from sim.compiling.records import Pair, RecordArray, record_type
+
+
+class VerticalLimits(NamedTuple):
+    """Limits of a vehicle's vertical motion."""
+
+    lowest: float
+    highest: float
+    """Least and greatest altitude [m]."""
+    max_rate: float
+    """Maximum climb and descent rate [m/s]."""
+    max_acceleration: float
+    """Maximum vertical acceleration [m/s²]."""
 
 
 class VerticalState:
@@ -58,7 +71,7 @@ def step_altitude(
     altitude: float,
     rate: float,
     command: float,
-    limits: tuple[float, float, float, float],
+    limits: VerticalLimits,
     dt: float,
 ) -> tuple[float, float, float]:
     """Advance the vertical motion by one tick, as `step_vehicle` does for the horizontal one.
@@ -68,7 +81,7 @@ def step_altitude(
     Args:
         altitude, rate: State [m], [m/s].
         command: Vertical acceleration [m/s²].
-        limits: Least and greatest altitude [m], maximum rate [m/s], maximum acceleration [m/s²].
+        limits: Limits of the vehicle.
         dt: Duration of a tick [s].
 
     Returns:
@@ -87,7 +100,7 @@ def step_altitude(
 
 @compiled
 def levelling_height(rate: float, max_acceleration: float, dt: float) -> float:
-    r"""Return the height flown while `level_off` ends a motion at this rate [m]; negative in a descent.
+    r"""Return the height flown while `level_off` ends a climb or descent at this rate [m]; negative in a descent.
 
     With k whole ticks of full deceleration and a rest r, it is
     $k |v| dt - \tfrac12 u k^2 dt^2 + \tfrac12 r\,dt$; a descent has the opposite sign.

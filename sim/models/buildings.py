@@ -11,6 +11,7 @@ height 0 are empty.
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,16 @@ from sim.models.polygons import (
     share_to_polygon,
 )
 from sim.models.vehicles import norm
+
+
+class CameraPosition(NamedTuple):
+    """Position of a camera."""
+
+    x: float
+    y: float
+    z: float
+    """Height above the ground [m]."""
+
 
 _MARGIN = 1e-9
 """Excess of a bounding circle's radius [m]. It exceeds the rounding error in areas of up to 10 km."""
@@ -59,8 +70,10 @@ def building_table(
             raise ValueError(f"buildings[{k}].height = {height}: not positive and finite")
         footprint = footprint if area > 0.0 else footprint[::-1]
         x, y = (0.5 * (footprint.min(axis=0) + footprint.max(axis=0))).tolist()
-        reach = float(np.hypot(footprint[:, 0] - x, footprint[:, 1] - y).max()) + _MARGIN
-        rows.append(HazardRow(BLOCK, 1.0, x, y, 0.0, reach, first, len(footprint), height))
+        bounding_radius = float(np.hypot(footprint[:, 0] - x, footprint[:, 1] - y).max()) + _MARGIN
+        rows.append(
+            HazardRow(BLOCK, 1.0, x, y, 0.0, bounding_radius, first, len(footprint), height)
+        )
         corners.append(footprint)
         first += len(footprint)
     return records(HazardRow, rows), np.concatenate(corners)
@@ -111,8 +124,8 @@ def line_of_sight(
         x, y, z: Position of the camera, and its height above the ground [m]; outside of all buildings.
         q_x, q_y, h: Position of the point, and its height above the ground, at most z [m].
     """
-    way = x - q_x, y - q_y
-    length = norm(way[0], way[1])
+    back = x - q_x, y - q_y
+    length = norm(back[0], back[1])
     left = right = True
     for k in range(buildings.shape[0]):
         row = buildings[k]
@@ -120,7 +133,7 @@ def line_of_sight(
         if height <= h:
             continue
         share = 1.0 if height >= z else (height - h) / (z - h)
-        point, end = (q_x, q_y), (q_x + share * way[0], q_y + share * way[1])
+        point, end = (q_x, q_y), (q_x + share * back[0], q_y + share * back[1])
         if not _may_meet(buildings, k, point, end):
             continue
         first, count = row["first"], row["corners"]
@@ -130,8 +143,8 @@ def line_of_sight(
             continue
         begin = min(ON_EDGE / length, share)
         part = begin, max(begin, share - ON_EDGE / length)
-        left = left and not passes_inside(corners, first, count, point, way, part, 1)
-        right = right and not passes_inside(corners, first, count, point, way, part, -1)
+        left = left and not passes_inside(corners, first, count, point, back, part, 1)
+        right = right and not passes_inside(corners, first, count, point, back, part, -1)
         if not (left or right):
             return False
     return True
@@ -167,20 +180,20 @@ def sees_corner(
     corners: FloatArray,
     k: int,
     n: int,
-    camera: tuple[float, float, float],
-    reach: float,
+    camera: CameraPosition,
+    sensing_range: float,
 ) -> bool:
     """Return whether a camera sees a corner of a roof; of a wall if the roof is higher than the camera.
 
     Args:
         buildings, corners: Tables as from `building_table`.
         k, n: Row of the building, and row of its corner.
-        camera: Position of the camera, and its height above the ground [m].
-        reach: Range of the camera on the ground [m].
+        camera: Position of the camera.
+        sensing_range: Range of the camera on the ground [m].
     """
     x, y, z = camera
     d_x, d_y = x - corners[n, 0], y - corners[n, 1]
-    if d_x * d_x + d_y * d_y > reach * reach:
+    if d_x * d_x + d_y * d_y > sensing_range * sensing_range:
         return False
     h = min(buildings[k]["height"], z)
     seen: bool = line_of_sight(buildings, corners, x, y, z, corners[n, 0], corners[n, 1], h)

@@ -22,15 +22,15 @@ class CameraParameters(NamedTuple):
 
 
 @compiled
-def range_at(reach: float, tangent: float, z: float) -> float:
+def range_at(sensing_range: float, tangent: float, z: float) -> float:
     r"""Return the range on the ground, $r(z) = \min(r, z \tan\theta)$ [m].
 
     Args:
-        reach: Range r at a great height [m].
+        sensing_range: Range r at a great height [m].
         tangent: $\tan\theta$.
         z: Height of the camera above the ground [m].
     """
-    return min(reach, z * tangent)
+    return min(sensing_range, z * tangent)
 
 
 @compiled

@@ -18,20 +18,20 @@ _TRUNCATION_TOLERANCE = 1e-6
 
 
 @compiled
-def detection_chance(distance: float, r_v: float, reach: float, dropout: float) -> float:
+def detection_chance(distance: float, r_v: float, sensing_range: float, dropout: float) -> float:
     """Return the probability that the UGV is detected.
 
     Args:
         distance: Distance between the vehicles [m].
         r_v: Visibility radius [m]: inside, detections fail only by dropout.
-        reach: The sensor's range r [m]: no detections beyond; in between, the probability falls linearly.
+        sensing_range: The sensor's range r [m]: no detections beyond; in between, the probability falls linearly.
         dropout: Share of detections that fail at random.
     """
     if distance < r_v:
         return 1.0 - dropout
-    if distance >= reach:
+    if distance >= sensing_range:
         return 0.0
-    return (1.0 - dropout) * (reach - distance) / (reach - r_v)
+    return (1.0 - dropout) * (sensing_range - distance) / (sensing_range - r_v)
 
 
 @compiled
@@ -39,7 +39,7 @@ def detect(
     p_delta_x: float,
     p_delta_y: float,
     r_v: float,
-    reach: float,
+    sensing_range: float,
     dropout: float,
     sigma: float,
     cut: float,
@@ -51,7 +51,7 @@ def detect(
 
     Args:
         p_delta_x, p_delta_y: True p_a - p_g [m].
-        r_v, reach, dropout: As in `detection_chance`.
+        r_v, sensing_range, dropout: As in `detection_chance`.
         sigma: Standard deviation of the noise per axis [m].
         cut: The noise vector's norm is at most cut * sigma; infinite: not truncated.
         noise_key, chance_key: Keys of this UAV for the noise, and for failures.
@@ -60,7 +60,7 @@ def detect(
     Returns:
         True if the UGV was detected, and the noisy p_a - p_g [m]; NaN without a detection.
     """
-    chance = detection_chance(norm(p_delta_x, p_delta_y), r_v, reach, dropout)
+    chance = detection_chance(norm(p_delta_x, p_delta_y), r_v, sensing_range, dropout)
     if uniform(chance_key, DETECTION_CHANCE, tick, FIRST) >= chance:
         return False, math.nan, math.nan
     if sigma == 0.0:

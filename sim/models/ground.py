@@ -134,11 +134,11 @@ def disc_columns(
         row: Index of the row.
         columns: Number of columns.
     """
-    reach = radius + TOUCH
+    touching = radius + TOUCH
     away = max(row * tile - y, y - (row + 1) * tile, 0.0)
-    if away > reach:
+    if away > touching:
         return 0, 0
-    half = math.sqrt(reach * reach - away * away)
+    half = math.sqrt(touching * touching - away * away)
     return span(x - half, x + half, tile, columns)
 
 
@@ -230,22 +230,22 @@ def _end_distance2(
 
 @compiled
 def add_polygon(
-    corners: FloatArray, reach: float, state: int, tile: float, tiles: TileArray
+    corners: FloatArray, margin: float, state: int, tile: float, tiles: TileArray
 ) -> None:
-    """Set the state of the tiles that a polygon touches, or comes as near as `reach`.
+    """Set the state of the tiles that a polygon touches, or comes as near as `margin`.
 
-    Every point of another tile is farther than `reach` from the polygon.
+    Every point of another tile is farther than `margin` from the polygon.
 
     Args:
         corners: Corners of a simple polygon in order [m]. Shape (corners, 2).
-        reach: Distance [m].
+        margin: Distance [m].
         state: ROUGH, BLOCK or FOUND.
         tile: Side of a tile [m].
         tiles: The map; changed.
     """
     _fill_polygon(corners, state, tile, tiles)
     rows, columns = tiles.shape
-    far = reach + TOUCH
+    far = margin + TOUCH
     a_x, a_y = corners[corners.shape[0] - 1, 0], corners[corners.shape[0] - 1, 1]
     for n in range(corners.shape[0]):
         b_x, b_y = corners[n, 0], corners[n, 1]

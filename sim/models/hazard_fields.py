@@ -46,6 +46,16 @@ class HazardFieldRow(NamedTuple):
     """Distance from its discs at which routes stay open [m]; 0 unless they block."""
 
 
+class Disc(NamedTuple):
+    """Disc on the ground."""
+
+    x: float
+    y: float
+    """Center [m]."""
+    radius: float
+    """Radius [m]."""
+
+
 @compiled
 def _index(i: int, j: int, columns: int) -> int:
     """Return the index of a tile on a map with a ring of blocked tiles around it."""
@@ -73,11 +83,11 @@ def _flood(tiles: TileArray, start: int, previous: IntArray, queue: IntArray) ->
     previous[start], queue[0] = start, start
     done, reached = 0, 1
     while done < reached:
-        here = queue[done]
+        current = queue[done]
         done += 1
         for step in (1, columns + 2, -1, -columns - 2):
-            if previous[here + step] == _FREE:
-                previous[here + step], queue[reached] = here, here + step
+            if previous[current + step] == _FREE:
+                previous[current + step], queue[reached] = current, current + step
                 reached += 1
 
 
@@ -97,16 +107,16 @@ def _mark_paths(routes: IntArray, tiles: TileArray, marks: Marks) -> bool:
     last = -1
     for k in range(routes.shape[0]):
         start = _index(routes[k, 0], routes[k, 1], columns)
-        here = _index(routes[k, 2], routes[k, 3], columns)
+        current = _index(routes[k, 2], routes[k, 3], columns)
         if start != last:
             _flood(tiles, start, previous, queue)
             last = start
-        if previous[here] < 0:
+        if previous[current] < 0:
             return False
-        marks[here // (columns + 2) - 1, here % (columns + 2) - 1] = True
-        while here != start:
-            here = previous[here]
-            marks[here // (columns + 2) - 1, here % (columns + 2) - 1] = True
+        marks[current // (columns + 2) - 1, current % (columns + 2) - 1] = True
+        while current != start:
+            current = previous[current]
+            marks[current // (columns + 2) - 1, current % (columns + 2) - 1] = True
     return True
 
 
@@ -125,7 +135,7 @@ def _touches(x: float, y: float, radius: float, tile: float, marks: Marks) -> bo
 def _fits(
     fields: RecordArray,
     f: int,
-    place: tuple[float, float, float],
+    disc: Disc,
     stops: FloatArray,
     tile: float,
     tiles: TileArray,
@@ -134,7 +144,7 @@ def _fits(
 
     It overlaps another one if the tile at its center already has its state, or one with precedence.
     """
-    x, y, radius = place
+    x, y, radius = disc
     kind, clear = fields[f]["kind"], fields[f]["clear"]
     for n in range(stops.shape[0]):
         if norm(x - stops[n, 0], y - stops[n, 1]) < radius + clear:
@@ -153,14 +163,12 @@ def _fits(
 
 
 @compiled
-def _drawn(
-    fields: RecordArray, f: int, attempt: int, area: tuple[float, float], key: Key
-) -> tuple[float, float, float]:
-    """Draw the center and radius of a disc of one field [m]."""
+def _drawn(fields: RecordArray, f: int, attempt: int, area: tuple[float, float], key: Key) -> Disc:
+    """Draw a disc of one field."""
     field = fields[f]
     first, second, third, _ = draw(key, HAZARD_PLACE, f, attempt)
     radius = field["smallest"] + to_uniform(third) * (field["largest"] - field["smallest"])
-    return to_uniform(first) * area[0], to_uniform(second) * area[1], radius
+    return Disc(to_uniform(first) * area[0], to_uniform(second) * area[1], radius)
 
 
 @compiled
@@ -202,16 +210,16 @@ def place_hazards(
         while behind < last and misses < MOST_MISSES:
             attempt, misses = attempt + 1, misses + 1
             x, y, radius = _drawn(fields, f, attempt, area, key)
-            reach = radius + field["kept"]
-            if not _fits(fields, f, (x, y, reach), stops, tile, tiles):
+            blocked_radius = radius + field["kept"]
+            if not _fits(fields, f, Disc(x, y, blocked_radius), stops, tile, tiles):
                 continue
-            if kind == BLOCK and _touches(x, y, reach, tile, marks):
+            if kind == BLOCK and _touches(x, y, blocked_radius, tile, marks):
                 trial = tiles.copy()
-                add_disc(x, y, reach, BLOCK, tile, trial)
+                add_disc(x, y, blocked_radius, BLOCK, tile, trial)
                 if not _mark_paths(routes, trial, new_marks):
                     continue
                 marks, new_marks = new_marks, marks
-            add_disc(x, y, reach, kind, tile, tiles)
+            add_disc(x, y, blocked_radius, kind, tile, tiles)
             row = hazards[behind]
             row["kind"], row["share"] = kind, field["share"]
             row["x"], row["y"], row["radius"], row["bounding_radius"] = x, y, radius, radius

@@ -153,8 +153,8 @@ def share_to_hazard(
         square = half * half - length2 * (f_x * f_x + f_y * f_y - radius * radius)
         if square < 0.0 or length2 == 0.0:
             return first
-        way = (-half - math.sqrt(square)) / length2
-        return min(first, way) if 0.0 <= way <= 1.0 else first
+        share = (-half - math.sqrt(square)) / length2
+        return min(first, share) if 0.0 <= share <= 1.0 else first
     return min(first, share_to_edges(corners, row["first"], row["corners"], start, end))
 
 
@@ -183,7 +183,7 @@ def crosses_hazard(
     for k in range(hazards.shape[0]):
         near = may_be_within(hazards, k, start[0], start[1], length + TOUCH)
         if near and hazards[k]["kind"] == kind:
-            way = share_to_hazard(hazards, corners, k, start, end)
-            if way < first:
-                found, first = k, way
+            share = share_to_hazard(hazards, corners, k, start, end)
+            if share < first:
+                found, first = k, share
     return found, first

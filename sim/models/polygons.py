@@ -37,9 +37,9 @@ def _met(
     turn = d_x * e_y - d_y * e_x
     if turn == 0.0:
         return math.inf
-    way = ((a_x - p_x) * e_y - (a_y - p_y) * e_x) / turn
+    share = ((a_x - p_x) * e_y - (a_y - p_y) * e_x) / turn
     along = ((a_x - p_x) * d_y - (a_y - p_y) * d_x) / turn
-    return way if 0.0 <= way <= 1.0 and 0.0 <= along <= 1.0 else math.inf
+    return share if 0.0 <= share <= 1.0 and 0.0 <= along <= 1.0 else math.inf
 
 
 @compiled
@@ -82,7 +82,7 @@ def passes_inside(
     first: int,
     count: int,
     start: tuple[float, float],
-    way: tuple[float, float],
+    direction: tuple[float, float],
     part: tuple[float, float],
     side: int,
 ) -> bool:
@@ -93,11 +93,11 @@ def passes_inside(
     Args:
         corners, first, count: The polygon.
         start: Point of the line [m].
-        way: Vector along the line [m]; not zero.
-        part: Shares of the way at which the part begins and ends.
+        direction: Vector along the line [m]; not zero.
+        part: Shares of the direction vector at which the part begins and ends.
         side: Side to which the line is shifted: 1: left, -1: right.
     """
-    (d_x, d_y), (begin, end) = way, part
+    (d_x, d_y), (begin, end) = direction, part
     last, inside = first + count - 1, False
     a_x, a_y = corners[last, 0] - start[0], corners[last, 1] - start[1]
     a_turn = d_x * a_y - d_y * a_x

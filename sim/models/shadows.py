@@ -1,7 +1,7 @@
 r"""Ground that buildings hide from a downward camera, cell by cell.
 
 A building of height H hides a point q of the ground if the segment from q towards the camera p touches the footprint B
-within the share H/z of the way. The hidden points are thus the points of B, scaled about p by the factors from 1 to
+within the share H/z of its length. The hidden points are thus the points of B, scaled about p by the factors from 1 to
 $F = z / (z - H)$; F is infinite for a camera that is not above the roof.
 
 Outline of this set: a ray from p enters B through a front edge, at r_1, and leaves it through a back edge, at r_2; the
@@ -110,13 +110,13 @@ def _add_side(outlines: _Outlines, u: Corner, v: Corner, turn: int) -> None:
         first, behind = float(outlines.chords[0, n]), float(outlines.chords[1, n])
         for left in range(2):  # of a center on the side, only the point right of it is beyond
             beyond = np.floor(column) + 1.0 if left else np.ceil(column)
-            place = int(max(min(beyond, behind), first) - first)  # a chord may be empty
+            cell = int(max(min(beyond, behind), first) - first)  # a chord may be empty
             if n < high:
-                outlines.changes[n, place, left] += change
+                outlines.changes[n, cell, left] += change
             if n > low:
-                outlines.changes[n, place, 2 + left] += change
-            outlines.span[0, n] = min(outlines.span[0, n], place)
-            outlines.span[1, n] = max(outlines.span[1, n], place)
+                outlines.changes[n, cell, 2 + left] += change
+            outlines.span[0, n] = min(outlines.span[0, n], cell)
+            outlines.span[1, n] = max(outlines.span[1, n], cell)
 
 
 @compiled

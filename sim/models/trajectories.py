@@ -2,8 +2,7 @@
 
 A trajectory is the acceleration of its first tick and the plan that follows: a turn, a cruise and a brake, each of a
 number of ticks under one acceleration (zero for the cruise). Afterwards the vehicle comes to rest and stays there. It
-is identified by its first tick: a pilot starts at most one per tick. See docs/explanation/proof.md, "Commands
-that carry a motion".
+is identified by its first tick: a pilot starts at most one per tick. See docs/explanation/proof.md, "Definitions".
 """
 
 import math
@@ -65,25 +64,25 @@ def clear_trajectories(rows: RecordArray) -> None:
 
 @compiled
 def trajectory_command(
-    motion: CheckedTrajectory, v_x: float, v_y: float, u_max: float, dt: float
+    trajectory: CheckedTrajectory, v_x: float, v_y: float, u_max: float, dt: float
 ) -> tuple[float, float]:
     """Return the acceleration [m/s²] of a vehicle that executes this trajectory, at its age.
 
     Args:
-        motion: Row of a table. If `begins` is NO_TRAJECTORY, the vehicle comes to rest.
+        trajectory: Row of a table. If `begins` is NO_TRAJECTORY, the vehicle comes to rest.
         v_x, v_y: Velocity of the vehicle [m/s], used to come to rest.
         u_max: Maximum acceleration of the vehicle [m/s²].
         dt: Duration of a tick [s].
     """
-    if motion.begins >= 0:
-        if motion.age == 0:
-            return motion.acceleration[0], motion.acceleration[1]
-        if motion.age <= motion.turn:
-            return motion.turning[0], motion.turning[1]
-        if motion.age <= motion.turn + motion.cruise:
+    if trajectory.begins >= 0:
+        if trajectory.age == 0:
+            return trajectory.acceleration[0], trajectory.acceleration[1]
+        if trajectory.age <= trajectory.turn:
+            return trajectory.turning[0], trajectory.turning[1]
+        if trajectory.age <= trajectory.turn + trajectory.cruise:
             return 0.0, 0.0
-        if motion.age <= motion.turn + motion.cruise + motion.brake:
-            return motion.braking[0], motion.braking[1]
+        if trajectory.age <= trajectory.turn + trajectory.cruise + trajectory.brake:
+            return trajectory.braking[0], trajectory.braking[1]
     return brake(v_x, v_y, u_max, dt)
 
 
@@ -118,19 +117,19 @@ def follow_on(trajectories: RecordArray, flown: RecordArray, tick: int) -> bool:
 
 
 @compiled
-def keep_trajectory(trajectories: RecordArray, motion: CheckedTrajectory, tick: int) -> None:
+def keep_trajectory(trajectories: RecordArray, trajectory: CheckedTrajectory, tick: int) -> None:
     """Store a sent trajectory until its start; one that is stored already stays unchanged.
 
     A trajectory beyond the buffer, or whose first tick has passed, is ignored.
 
     Args:
         trajectories: The trajectory that starts in tick k is in row k % rows; changed.
-        motion: Row of a table.
+        trajectory: Row of a table.
         tick: Current tick.
     """
-    begins, rows = motion.begins, trajectories.shape[0]
+    begins, rows = trajectory.begins, trajectories.shape[0]
     if tick <= begins < tick + rows and trajectories[begins % rows].begins != begins:
-        trajectories[begins % rows] = motion
+        trajectories[begins % rows] = trajectory
         trajectories[begins % rows].arrived = 0
 
 

@@ -106,8 +106,8 @@ def speed_to_stop_within(distance: float, u_max: float, dt: float) -> float:
     """
     if math.isinf(u_max):
         return max(distance, 0.0) / dt
-    reach = u_max * dt
-    return math.sqrt(reach * reach + 2.0 * u_max * max(distance, 0.0)) - reach
+    step = u_max * dt
+    return math.sqrt(step * step + 2.0 * u_max * max(distance, 0.0)) - step
 
 
 @compiled

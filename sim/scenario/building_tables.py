@@ -90,8 +90,8 @@ def _taken(scenario: Scenario, buildings: list[Building]) -> Iterator[tuple[floa
     for hazard in scenario.hazard:
         if not HAZARDS[hazard.kind].slows:
             (left, low), (right, high) = hazard.bounds
-            reach = hazard.radius or 0.0
-            yield left - reach, low - reach, right + reach, high + reach
+            radius = hazard.radius or 0.0
+            yield left - radius, low - radius, right + radius, high + radius
     for building in buildings:
         (left, low), (right, high) = building.bounds
         yield left, low, right, high

@@ -108,13 +108,13 @@ def hazards_lie_in_area(scenario: Scenario) -> Iterator[Fault]:
     allowed = f"[0, {exact(width)}] x [0, {exact(height)}] m"
     for k, hazard in enumerate(scenario.hazard):
         low, high = hazard.bounds
-        reach = hazard.radius or 0.0
+        radius = hazard.radius or 0.0
         if hazard.kind == "find":
             if not (low[0] >= 0.0 and low[1] >= 0.0 and high[0] <= width and high[1] <= height):
                 yield Fault(*_position_field(k, hazard), "object to find outside Q", allowed)
         elif (
-            max(-high[0], low[0] - width, 0.0) > reach
-            or max(-high[1], low[1] - height, 0.0) > reach
+            max(-high[0], low[0] - width, 0.0) > radius
+            or max(-high[1], low[1] - height, 0.0) > radius
         ):
             yield Fault(*_position_field(k, hazard), "outside Q", allowed)
 

@@ -120,9 +120,9 @@ def _closed_tiles(
     kept, tile = enlargement(scenario), scenario.ground.tile
     if kept == 0.0 and (not buildings or scenario.max_building_clearance == 0.0):
         return tables.tiles
-    closed, reach = tables.tiles.copy(), kept or scenario.max_building_clearance
+    closed, clearance = tables.tiles.copy(), kept or scenario.max_building_clearance
     for building in buildings:
-        add_polygon(np.array(building.corners), reach, BLOCK, tile, closed)
+        add_polygon(np.array(building.corners), clearance, BLOCK, tile, closed)
     for hazard in scenario.hazard:
         if kept > 0.0 and not HAZARDS[hazard.kind].drivable:
             if hazard.corners:
@@ -201,8 +201,8 @@ def _field_row(scenario: Scenario, field: HazardField) -> HazardFieldRow:
 def _routes(scenario: Scenario, rows: int, columns: int) -> IntArray:
     tile, routes = scenario.ground.tile, []
     for ugv in scenario.ugv:
-        places = [(tile_index(y, tile, rows), tile_index(x, tile, columns)) for x, y in stops(ugv)]
-        start, *goals = places
+        tiles = [(tile_index(y, tile, rows), tile_index(x, tile, columns)) for x, y in stops(ugv)]
+        start, *goals = tiles
         routes += [(*start, *goal) for goal in goals if goal != start] or [start * 2]
     return np.array(list(dict.fromkeys(routes)), dtype=np.int64)
 
@@ -222,6 +222,8 @@ def _rows(hazards: tuple[Hazard, ...]) -> Iterator[HazardRow]:
     first = 0
     for hazard in hazards:
         kind, count, radius = HAZARDS[hazard.kind].code, len(hazard.corners), hazard.radius or 0.0
-        reach = 0.5 * math.dist(*hazard.bounds) if count else radius
-        yield HazardRow(kind, hazard.kept_share, *hazard.middle, radius, reach, first, count)
+        bounding_radius = 0.5 * math.dist(*hazard.bounds) if count else radius
+        yield HazardRow(
+            kind, hazard.kept_share, *hazard.middle, radius, bounding_radius, first, count
+        )
         first += count

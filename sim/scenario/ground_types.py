@@ -66,7 +66,7 @@ class Buildings(Table, frozen=True, kw_only=True):
 
 
 class BuildingField(Table, frozen=True, kw_only=True):
-    """Rows of rectangular buildings between streets, new with each seed; every UGV's way to its goals stays open."""
+    """Rows of rectangular buildings between streets, new with each seed; every UGV's route to its goals stays open."""
 
     block: tuple[Side, Side]
     """Smallest and largest side of a building [m]."""

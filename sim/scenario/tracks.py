@@ -1,4 +1,4 @@
-"""Recorded trajectories as scripts: a UGV repeats its motion from an earlier run."""
+"""Recorded trajectories as scripts: a UGV repeats its trajectory from an earlier run."""
 
 import csv
 from io import TextIOWrapper

@@ -149,7 +149,7 @@ class Ugv(Table, frozen=True, kw_only=True):
     """Height of its marker, which cameras detect, above the ground [m]."""
     building_clearance: NonNegative = 0.0
     """Smallest distance from every building that it declares to keep [m]; 0: none. The largest of all UGVs must leave
-    every UGV a way to its goals. The cautious driver `navigate` keeps it; from unknown buildings only with
+    every UGV a route to its goals. The cautious driver `navigate` keeps it; from unknown buildings only with
     `ground.miss` = 0 and `ground.false_alarm` = 0.
     """
     keeps_clearance: bool = False

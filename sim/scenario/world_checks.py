@@ -252,7 +252,7 @@ def wind_is_possible(scenario: Scenario) -> Iterator[Fault]:
         yield Fault("wind.mean", scenario.wind.mean, wrong, allowed)
 
 
-def inner_loops_hold(scenario: Scenario) -> Iterator[Fault]:
+def inner_loops_resist(scenario: Scenario) -> Iterator[Fault]:
     r"""Check that the inner loop of a disturbed UAV is stable at dt and has enough acceleration.
 
     $z^2 - (2 - k_d dt - k_p dt^2 / 2) z + 1 - k_d dt + k_p dt^2 / 2$ has its roots within the unit circle if $k_d dt <
@@ -331,7 +331,7 @@ WORLD_CHECKS: tuple[Check, ...] = (
     uav_is_stronger,
     ugv_is_seen_at_start,
     wind_is_possible,
-    inner_loops_hold,
+    inner_loops_resist,
     links_are_possible,
     commands_act,
 )

@@ -73,11 +73,11 @@ def sight_at(space: Space, ugv: str, r_v: float, altitude: float) -> float:
     return float(visibility_radius_at(r_v, tangent, space.markers.get(ugv, 0.0), altitude))
 
 
-def range_of(space: Space, reach: float, altitude: float) -> float:
-    """Return the range of the sensor on the ground at an altitude [m]; `reach`: at a great altitude [m]."""
+def range_of(space: Space, sensing_range: float, altitude: float) -> float:
+    """Return the range of the sensor on the ground at an altitude [m]; `sensing_range`: at a great altitude [m]."""
     if space.camera is None:
-        return reach
-    return float(range_at(reach, math.tan(space.camera.half_angle), altitude))
+        return sensing_range
+    return float(range_at(sensing_range, math.tan(space.camera.half_angle), altitude))
 
 
 def ring_radius(scene: Scene, ring: Ring, altitudes: Mapping[str, float]) -> float:
@@ -104,12 +104,12 @@ class HiddenGround:
         self._ranges = {ring.around: ring.radius for ring in scene.rings if ring.symbol == "r"}
 
     def cells(
-        self, places: Mapping[str, Point], altitudes: Mapping[str, float], shape: tuple[int, int]
+        self, positions: Mapping[str, Point], altitudes: Mapping[str, float], shape: tuple[int, int]
     ) -> npt.NDArray[np.bool_]:
         """Return the cells that are in the range of a UAV and hidden from every UAV that is in range of them.
 
         Args:
-            places: Position of each vehicle [m].
+            positions: Position of each vehicle [m].
             altitudes: Altitude of each UAV [m].
             shape: Rows and columns of the grid over the scene's area.
         """
@@ -117,10 +117,10 @@ class HiddenGround:
         hidden, seen = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
         y, x = np.ogrid[: shape[0], : shape[1]]
         for uav, z in altitudes.items():
-            (p_x, p_y), reach = places[uav], self._ranges.get(uav, 0.0)
-            radius = range_of(self._scene.space, reach, z)
-            dark = hidden_cells(all_known(*self._tables, z), p_x, p_y, radius, cell, shape)
+            (p_x, p_y), sensing_range = positions[uav], self._ranges.get(uav, 0.0)
+            radius = range_of(self._scene.space, sensing_range, z)
+            shadow = hidden_cells(all_known(*self._tables, z), p_x, p_y, radius, cell, shape)
             disc = np.hypot((x + 0.5) * cell - p_x, (y + 0.5) * cell - p_y) <= radius
-            hidden |= dark
-            seen |= disc & ~dark
+            hidden |= shadow
+            seen |= disc & ~shadow
         return hidden & ~seen

@@ -103,12 +103,12 @@ class DrawnShadow:
         )
 
     def show(
-        self, places: Mapping[str, Point], altitudes: Mapping[str, float], shape: tuple[int, int]
+        self, positions: Mapping[str, Point], altitudes: Mapping[str, float], shape: tuple[int, int]
     ) -> None:
         """Show the hidden ground; arguments as of `HiddenGround.cells`."""
         if max(shape) * _FINER <= _LARGEST_GRID:
             shape = (shape[0] * _FINER, shape[1] * _FINER)
-        self.artist.set_data(_hatched(self._ground.cells(places, altitudes, shape)))
+        self.artist.set_data(_hatched(self._ground.cells(positions, altitudes, shape)))
 
 
 def _hatched(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:

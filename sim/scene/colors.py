@@ -64,6 +64,6 @@ def building(height: float, buildings: Iterable[Building]) -> str:
 
 def covered(share: float, stops: tuple[str, ...] = COVERED) -> str:
     """Return the color of ground with this share of the desired coverage, from 0 to 1."""
-    place = share * (len(stops) - 1)
-    k = min(int(place), len(stops) - 2)
-    return mixed(stops[k], stops[k + 1], place - k)
+    position = share * (len(stops) - 1)
+    k = min(int(position), len(stops) - 2)
+    return mixed(stops[k], stops[k + 1], position - k)

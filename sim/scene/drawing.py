@@ -37,7 +37,7 @@ _ROUTE: dict[str, Any] = {
 }
 """Style of a planned route."""
 DPI = 140
-_LOOK: dict[str, Any] = {
+_STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "mathtext.fontset": "dejavusans",
@@ -73,14 +73,14 @@ Estimate = tuple[Point, tuple[float, float, float]]
 
 
 @contextmanager
-def look() -> Iterator[None]:
+def plot_style() -> Iterator[None]:
     """Apply Outrider's style to new artists within the context, independent of the user's settings.
 
     The settings are restored on exit.
     """
     with mpl.rc_context():
         mpl.rcdefaults()
-        mpl.rcParams.update(_LOOK)  # type: ignore[arg-type]
+        mpl.rcParams.update(_STYLE)  # type: ignore[arg-type]
         yield
 
 
@@ -134,9 +134,9 @@ class Track:
             *axes.plot([], [], mark, **full, markeredgewidth=1.2, zorder=7),
         )
 
-    def move(self, way: FloatArray) -> "Track":
+    def move(self, path: FloatArray) -> "Track":
         """Show the path up to its last point [m]. Shape (points, 2)."""
-        for artist, part in zip(self.artists, (way, way[:1], way[-1:]), strict=True):
+        for artist, part in zip(self.artists, (path, path[:1], path[-1:]), strict=True):
             artist.set_data(part[:, 0], part[:, 1])
         return self
 
@@ -244,12 +244,14 @@ class Map:
             self._cells = (coverage.shape[0], coverage.shape[1])
         for name, track in self._tracks.items():
             track.move(tracks[name])
-        places = {name: (float(way[-1, 0]), float(way[-1, 1])) for name, way in tracks.items()}
+        positions = {
+            name: (float(path[-1, 0]), float(path[-1, 1])) for name, path in tracks.items()
+        }
         for ring, circle in self._rings:
-            circle.center = places[ring.around]
+            circle.center = positions[ring.around]
             circle.set_radius(ring_radius(self._scene, ring, altitudes))
         if self._shadow is not None and self._cells is not None:
-            self._shadow.show(places, altitudes, self._cells)
+            self._shadow.show(positions, altitudes, self._cells)
         for (uav, ugv), line in self._sights.items():
             line.set_data(*zip(tracks[uav][-1], tracks[ugv][-1], strict=True))
             line.set_color(LIMIT if uav in hidden else MUTED)

@@ -16,7 +16,7 @@ from bus.messages.ground import GroundMap
 from sim.compiling.compile import FloatArray
 from sim.scene.altitude import Sight
 from sim.scene.colors import COVERED, LIMIT, MUTED
-from sim.scene.drawing import DPI, Estimate, Map, key, legend_of, look
+from sim.scene.drawing import DPI, Estimate, Map, key, legend_of, plot_style
 from sim.scene.model import Scene
 
 _HEADER, _FOOTER, _SIDE = 92, 116, 68
@@ -55,7 +55,7 @@ class Frames:
         footer = _FOOTER if hazards is None else _FOOTER + _LEGEND_OF_GROUND
         total = round(tall + _HEADER + footer) // 2 * 2  # video requires even numbers
         self._left, self._rows = _SIDE / 2 / width, (1.0 - 20 / total, 1.0 - 58 / total)
-        with look():
+        with plot_style():
             self._figure = Figure(figsize=(width / DPI, total / DPI), dpi=DPI, facecolor="white")
             self._canvas = FigureCanvasAgg(self._figure)
             axes = self._figure.add_axes(

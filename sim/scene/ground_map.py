@@ -68,14 +68,14 @@ def _mapped_tiles(world: World, ground: GroundState) -> TileArray:
     return tiles
 
 
-def _ahead(route: tuple[Vector, ...], place: Vector) -> tuple[Vector, ...]:
+def _ahead(route: tuple[Vector, ...], position: Vector) -> tuple[Vector, ...]:
     """Return the rest of a route from a position on or near it; routes are given by their corners [m]."""
     corners = np.array(route)
-    way = np.diff(corners, axis=0)
-    length2 = np.maximum((way**2).sum(axis=1), 1e-12)
-    share = (((np.array(place) - corners[:-1]) * way).sum(axis=1) / length2).clip(0.0, 1.0)
-    away = np.hypot(*(corners[:-1] + share[:, None] * way - place).T)
-    return (place, *route[int(away.argmin()) + 1 :])
+    sides = np.diff(corners, axis=0)
+    length2 = np.maximum((sides**2).sum(axis=1), 1e-12)
+    share = (((np.array(position) - corners[:-1]) * sides).sum(axis=1) / length2).clip(0.0, 1.0)
+    away = np.hypot(*(corners[:-1] + share[:, None] * sides - position).T)
+    return (position, *route[int(away.argmin()) + 1 :])
 
 
 def ground_map(
@@ -104,7 +104,7 @@ def ground_map(
     kinds, buildings = ground.hazards[0]["kind"], _buildings(ground)
     known = np.where(kinds == FOUND, ground.found[0] > 0, (ground.warned[0] > 0).any(axis=0))
     states = np.where(ground.hits[0].any(axis=0), HIT, np.where(known, KNOWN, UNKNOWN))
-    places = dict(zip(world.names, world.position.tolist(), strict=True))
+    positions = dict(zip(world.names, world.position.tolist(), strict=True))
     return GroundMap(
         tick=world.tick,
         rows=rows,
@@ -113,7 +113,7 @@ def ground_map(
         tiles=tiles.tobytes(),
         states=states[kinds > 0].astype(np.uint8).tobytes(),
         routes={
-            name: _ahead(route, tuple(places[name]))
+            name: _ahead(route, tuple(positions[name]))
             for name, route in routes.items()
             if len(route) > 1
         },

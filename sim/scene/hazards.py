@@ -56,21 +56,21 @@ class DrawnGround:
         )
         self._areas: dict[tuple[str, int], PathCollection] = {}
         for kind, state in product(("block", "rough"), (UNKNOWN, KNOWN, HIT)):
-            look = _SOLID if kind == "block" else _ROUGH
+            style = _SOLID if kind == "block" else _ROUGH
             if state == HIT:
-                look = look | {"facecolor": LIMIT, "edgecolor": HAZARDS[kind]}
+                style = style | {"facecolor": LIMIT, "edgecolor": HAZARDS[kind]}
             area = PathCollection(
                 [],
                 linewidths=0.8,
                 alpha=FAINT if state == UNKNOWN else None,
                 zorder=2.6 if kind == "block" else 2.5,
-                **look,
+                **style,
             )
             self._areas[kind, state] = area
             axes.add_collection(area, autolim=False)
         self._stars: dict[int, Line2D] = {}
-        for state, look in ((UNKNOWN, _NOT_FOUND), (KNOWN, _FOUND)):
-            (self._stars[state],) = axes.plot([], [], zorder=3.6, **_STAR, **look)
+        for state, style in ((UNKNOWN, _NOT_FOUND), (KNOWN, _FOUND)):
+            (self._stars[state],) = axes.plot([], [], zorder=3.6, **_STAR, **style)
         self._states = b"not drawn yet"
         self.show(ground)
 
@@ -87,8 +87,8 @@ class DrawnGround:
             return
         self._states = ground.states
         of = list(zip(self._kinds, ground.states, strict=True))
-        for look, area in self._areas.items():
-            area.set_paths([self._outlines[k] for k, one in enumerate(of) if one == look])
+        for drawn, area in self._areas.items():
+            area.set_paths([self._outlines[k] for k, one in enumerate(of) if one == drawn])
         for state, stars in self._stars.items():
             shown = self._centers[[k for k, one in enumerate(of) if one == ("find", state)]]
             stars.set_data(shown[:, 0], shown[:, 1])

@@ -160,12 +160,12 @@ def assembled(
     ]
     rings: list[Ring] = []
     if radii is not None:
-        r_v, reach = radii
+        r_v, sensing_range = radii
         escorted = [name for name in ugvs if name in escorts.values()]
         limits = {name: (inner or {}).get(name) for name in escorted}
         rings += [_ring(name, "r_v", r_v) for name in escorted]
         rings += [_ring(name, "r_s", r_s) for name, r_s in limits.items() if r_s is not None]
-        rings += [_ring(one.name, "r", reach, one.color) for one in vehicles if one.flies]
+        rings += [_ring(one.name, "r", sensing_range, one.color) for one in vehicles if one.flies]
     return Scene(
         title=title,
         width=size[0],

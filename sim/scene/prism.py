@@ -19,7 +19,7 @@ def _counterclockwise(corners: Sequence[Point]) -> list[Point]:
     return list(corners if area > 0.0 else reversed(corners))
 
 
-def _holds(a: Point, b: Point, c: Point, point: Point) -> bool:
+def _contains(a: Point, b: Point, c: Point, point: Point) -> bool:
     return min(_turn(a, b, point), _turn(b, c, point), _turn(c, a, point)) >= 0.0
 
 
@@ -32,7 +32,7 @@ def triangulated(corners: Sequence[Point]) -> list[tuple[Point, Point, Point]]:
         for k in range(count):
             a, b, c = left[k - 1], left[k], left[(k + 1) % count]
             others = (point for point in left if point not in (a, b, c))
-            if _turn(a, b, c) > 0.0 and not any(_holds(a, b, c, point) for point in others):
+            if _turn(a, b, c) > 0.0 and not any(_contains(a, b, c, point) for point in others):
                 break
         else:  # corners on a line are left over
             break

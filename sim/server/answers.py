@@ -10,6 +10,7 @@ from bus.messages.telemetry import VehicleStatus
 from bus.messages.vehicle import BackupTrajectory, Command, UavCommand, UavReport
 from bus.numbers import above, exact
 from bus.registry import LAWS
+from sim.engine.monitor import Evidence
 from sim.scenario.types import Scenario
 from sim.server.assurance import Assurance
 from sim.server.recorder import Recorder
@@ -86,7 +87,7 @@ class Answers:
         )  # bound on the squared acceleration [m²/s⁴]
         self._uavs = [uav.name for uav in world.uavs]
         flown = world.arrays[1].flown[0, :, 0]
-        self._evidence = recorder.arrivals, world.vehicles, flown
+        self._evidence = Evidence(recorder.arrivals, world.vehicles, flown)
         self._recorded: _Tick | None = None
         self._rejoined: dict[str, int] = {}
         """Tick at which each vehicle's process has rejoined, until its new pilot has reported."""

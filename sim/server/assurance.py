@@ -6,9 +6,11 @@ from collections import Counter
 from bus.messages.decision import NotCertified
 from bus.messages.telemetry import CertificateStatus
 from bus.messages.vehicle import UavCommand
-from sim.compiling.records import RecordArray, records
+from sim.compiling.records import records
 from sim.engine.briefing import monitored_bounds
 from sim.engine.monitor import (
+    Claim,
+    Evidence,
     certificate_counters,
     record_end,
     record_tick,
@@ -20,10 +22,6 @@ from sim.scenario.types import Scenario, Uav
 
 _NEVER_SUPERVISED = -2
 """Initial value for the last supervised tick: the tick before tick 0 is -1."""
-
-
-Evidence = tuple[RecordArray, RecordArray, RecordArray]
-"""True state of a tick, the input of `record_tick`; the arrays change during the run."""
 
 
 class Assurance:
@@ -138,9 +136,9 @@ class Assurance:
             reason = NotCertified.NO_CLEARANCE
         if reason is not None:
             self.reasons[reason] += 1
-        claim = certified, overridden, lost, current, clear
-        rows = uav, self._rows[uav], tick
-        record_tick(self._tables, evidence, rows, command is not None, claim)
+        claim = Claim(certified, overridden, lost, current, clear)
+        row = self._rows[uav]
+        record_tick(self._tables, evidence, uav, row, tick, command is not None, claim)
 
     def end(self, uav: int, lost: bool, *, clear: bool = True) -> None:
         """Finish the run: check the last tick's certificate.

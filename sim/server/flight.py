@@ -245,10 +245,10 @@ class Flight:
         """
         perception = self.perceptions[name]
         reference = self.recorder.reference[begin:end, perception.row]
-        heights = self.recorder.heights[begin:end, :, :2]
-        row = self._uav_row.get(name)
-        own = np.zeros((end - begin, 2)) if row is None or not heights.size else heights[:, row]
-        return perception.past(begin, end, reference, own, missed)
+        row, vertical = self._uav_row.get(name), np.zeros((end - begin, 2))
+        if row is not None and self.recorder.heights.size:
+            vertical = self.recorder.heights[begin:end, row, :2]
+        return perception.past(begin, end, reference, vertical, missed)
 
     def apply(self, commands: Mapping[str, Command]) -> None:
         """Send these commands, and advance by one tick under the commands that have arrived.
@@ -387,8 +387,8 @@ def warm_up(scenario: Scenario) -> None:
         for _ in range(3):
             flight.observations()
             for k in range(len(world.names)):
-                motion = BackupTrajectory(begins=world.tick, parent=-1, acceleration=(0.0, 0.0))
-                world.send(k, world.tick, (0.0, 0.0), (motion,))
+                trajectory = BackupTrajectory(begins=world.tick, parent=-1, acceleration=(0.0, 0.0))
+                world.send(k, world.tick, (0.0, 0.0), (trajectory,))
             for row in carried:
                 for _ in range(3):
                     links.send_object(row, world.tick + 1, None, world.tick)

@@ -6,7 +6,7 @@ Messages are stored, so that a process that rejoins receives them again.
 from abc import ABC, abstractmethod
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from bus.messages.base import Vector
 from bus.messages.buildings import Building
@@ -35,8 +35,16 @@ class News:
 
 
 _NO_NEWS = News()
-OwnState = tuple[Vector, Vector, Vector]
-"""Reference position [m] and velocity [m/s] of a vehicle, and its altitude [m] with its climb rate [m/s]."""
+
+
+class OwnState(NamedTuple):
+    """Own state of a vehicle at one tick."""
+
+    position: Vector
+    velocity: Vector
+    """Reference position [m] and velocity [m/s]."""
+    vertical: Vector = (0.0, 0.0)
+    """Altitude [m] and climb rate [m/s]; zero for a vehicle without an altitude."""
 
 
 class Perception(ABC):
@@ -77,12 +85,11 @@ class Perception(ABC):
         vehicle = self._world.vehicles[self.row]
         x, y = vehicle["reference_position"].tolist()
         v_x, v_y = vehicle["reference_velocity"].tolist()
-        height = 0.0, 0.0
+        own = OwnState((x, y), (v_x, v_y))
         if self._flies:
             vertical = vehicle["vertical"]
-            height = vertical["altitude"].item(), vertical["rate"].item()
-        motion = (x, y), (v_x, v_y), height
-        return self._observation(self._world.tick, motion, self._now, over=over)
+            own = own._replace(vertical=(vertical["altitude"].item(), vertical["rate"].item()))
+        return self._observation(self._world.tick, own, self._now, over=over)
 
     def past(
         self,
@@ -104,21 +111,21 @@ class Perception(ABC):
         """
         rows = zip(reference.tolist(), heights.tolist(), strict=True)
         return tuple(
-            self._observation(tick, ((x, y), (v_x, v_y), (z, rate)), known=False)
+            self._observation(tick, OwnState((x, y), (v_x, v_y), (z, rate)), known=False)
             if tick in missed
             else self._observation(
-                tick, ((x, y), (v_x, v_y), (z, rate)), self._arrived.get(tick, ())
+                tick, OwnState((x, y), (v_x, v_y), (z, rate)), self._arrived.get(tick, ())
             )
             for tick, ((x, y, v_x, v_y), (z, rate)) in enumerate(rows, begin)
         )
 
-    def _common(self, tick: int, motion: OwnState, *, known: bool, over: bool) -> dict[str, Any]:
+    def _common(self, tick: int, own: OwnState, *, known: bool, over: bool) -> dict[str, Any]:
         """Return the fields of `VehicleObservation`; arguments as in `_observation`."""
         return {
             "tick": tick,
             "time": tick * self._dt,
-            "position": motion[0],
-            "velocity": motion[1],
+            "position": own.position,
+            "velocity": own.velocity,
             "tile_reports": self._ground.get(tick, ()) if known else (),
             "committed_trajectory": self._world.flown(self.row)
             if tick == self._world.tick
@@ -131,7 +138,7 @@ class Perception(ABC):
     def _observation(
         self,
         tick: int,
-        motion: OwnState,
+        own: OwnState,
         arrived: tuple[Any, ...] = (),
         *,
         known: bool = True,
@@ -141,7 +148,7 @@ class Perception(ABC):
 
         Args:
             tick: The tick.
-            motion: Reference position [m], velocity [m/s], and altitude [m] with climb rate [m/s].
+            own: State of the vehicle at this tick.
             arrived: Messages that have arrived.
             known: True if the vehicle's process received them.
             over: True if no command is expected.
@@ -169,16 +176,16 @@ class UavPerception(Perception):
     def _observation(
         self,
         tick: int,
-        motion: OwnState,
+        own: OwnState,
         arrived: tuple[Detection, ...] = (),
         *,
         known: bool = True,
         over: bool = False,
     ) -> UavObservation:
         news = self.news.get(tick, _NO_NEWS)
-        common = self._common(tick, motion, known=known, over=over)
+        common = self._common(tick, own, known=known, over=over)
         if self._flies:
-            common["altitude"], common["climb_rate"] = motion[2]
+            common["altitude"], common["climb_rate"] = own.vertical
         found = self._buildings.get(tick, ()) if known else ()
         return UavObservation(**common, detections=arrived, buildings=found, law=news.law)
 
@@ -218,7 +225,7 @@ class UgvPerception(Perception):
     def _observation(
         self,
         tick: int,
-        motion: OwnState,
+        own: OwnState,
         arrived: tuple[RelativeInformation, ...] = (),
         *,
         known: bool = True,
@@ -226,7 +233,7 @@ class UgvPerception(Perception):
     ) -> UgvObservation:
         news = self.news.get(tick, _NO_NEWS)
         return UgvObservation(
-            **self._common(tick, motion, known=known, over=over),
+            **self._common(tick, own, known=known, over=over),
             radio=arrived,
             map_updates=self.blocks.get(tick, ()) if known else (),
             operator=news.operator if known else (),

@@ -86,10 +86,14 @@ def _record_tick(
             arrivals[uav].error = max(arrivals[uav].error, packet.error)
     for uav in range(heights.shape[1]):
         vehicle = state.vehicles[0, tables.escorts[uav, 0]]
-        own = vehicle.vertical
+        vertical = vehicle.vertical
         if k > 0:
-            heights[k - 1, uav, 2] = own.acceleration
-        heights[k, uav, 0], heights[k, uav, 1], heights[k, uav, 2] = own.altitude, own.rate, np.nan
+            heights[k - 1, uav, 2] = vertical.acceleration
+        heights[k, uav, 0], heights[k, uav, 1], heights[k, uav, 2] = (
+            vertical.altitude,
+            vertical.rate,
+            np.nan,
+        )
         heights[k, uav, 3] = vehicle.sight_radius
 
 

@@ -106,7 +106,7 @@ class Sessions:
             entry.missed.clear()
             entry.owed = 0 if entry.sessions else None
 
-    def _record(self, name: str, place: int, present: bool) -> None:
+    def _record(self, name: str, number: int, present: bool) -> None:
         """Record that a session joined or left; called from a thread of Zenoh.
 
         Only the latest event of each session number is kept: a flood must neither fill the memory nor stop the clock.
@@ -114,9 +114,9 @@ class Sessions:
         if name not in self._sessions:
             return
         with self._gate:
-            self._arrivals[name, place] += present
-            known = (name, place) in self._changes
-            self._changes[name, place] = present
+            self._arrivals[name, number] += present
+            known = (name, number) in self._changes
+            self._changes[name, number] = present
         if not known:
             self.commands.poke()
 
@@ -124,28 +124,28 @@ class Sessions:
         """Process sessions that joined or left since the last call, and count messages that did not decode."""
         with self._gate:
             changes = [
-                (name, place, self._arrivals[name, place], there)
-                for (name, place), there in self._changes.items()
+                (name, number, self._arrivals[name, number], there)
+                for (name, number), there in self._changes.items()
             ]
             self._changes.clear()
-        for name, place, arrivals, present in changes:
+        for name, number, arrivals, present in changes:
             entry = self._sessions[name]
-            if place in entry.sessions and not (present and entry.sessions[place] == arrivals):
-                self._leave(entry, place)
-            if present and place not in entry.sessions:
-                self._arrive(entry, place, arrivals)
+            if number in entry.sessions and not (present and entry.sessions[number] == arrivals):
+                self._leave(entry, number)
+            if present and number not in entry.sessions:
+                self._arrive(entry, number, arrivals)
         for name, entry in self._sessions.items():
             unreadable = self.commands.refused[name] - entry.refused[UNREADABLE]
             if unreadable > 0:
                 self._refuse(entry, UNREADABLE, self.commands.fault[name], unreadable)
 
-    def _arrive(self, entry: VehicleSessions, place: int, arrivals: int) -> None:
-        entry.sessions[place] = arrivals
+    def _arrive(self, entry: VehicleSessions, number: int, arrivals: int) -> None:
+        entry.sessions[number] = arrivals
         if len(entry.sessions) > 1:
             self._refuse(
                 entry,
                 SECOND_SESSION,
-                f"a second session (number {place}) joined; "
+                f"a second session (number {number}) joined; "
                 f"the first (number {entry.holder}) stays active",
             )
             return
@@ -159,10 +159,10 @@ class Sessions:
             self._flight.rejoin(entry.name)
             self._on_event(f"{entry.name} rejoined at tick {self._flight.world.tick}")
 
-    def _leave(self, entry: VehicleSessions, place: int) -> None:
-        held = entry.holder == place
-        del entry.sessions[place]
-        if not held:
+    def _leave(self, entry: VehicleSessions, number: int) -> None:
+        is_holder = entry.holder == number
+        del entry.sessions[number]
+        if not is_holder:
             return
         if not self._flight.over:
             entry.lost += 1
@@ -263,11 +263,11 @@ class Sessions:
         if not isinstance(command, UavCommand | UgvCommand):
             return False
         answered = command.tick
-        if envelope.place is not None and entry.present and envelope.place != entry.holder:
+        if envelope.number is not None and entry.present and envelope.number != entry.holder:
             self._refuse(
                 entry,
                 SECOND_SESSION,
-                f"a command for tick {answered} from a second session (number {envelope.place}); "
+                f"a command for tick {answered} from a second session (number {envelope.number}); "
                 f"the first (number {entry.holder}) stays active",
             )
         elif answered == entry.newest:

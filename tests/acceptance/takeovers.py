@@ -39,9 +39,11 @@ def scenario_of(rng: np.random.Generator) -> tuple[Scenario, list[Any], list[flo
     """Return a scenario, its buildings and their heights."""
     one, shapes, heights, _ = drawn_scenario(rng)
     (ugv,), clearance = one.ugv, one.ugv[0].building_clearance
-    ways = rings(shapes, clearance + 3.0 * one.ground.tile)
+    routes = rings(shapes, clearance + 3.0 * one.ground.tile)
     goals = [
-        way.interpolate(rng.uniform(), normalized=True).coords[0] for way in ways for _ in range(3)
+        route.interpolate(rng.uniform(), normalized=True).coords[0]
+        for route in routes
+        for _ in range(3)
     ]
     commands = LinkSettings(
         delay=float(rng.choice([0.0, 0.1, 0.25, 0.4])), loss=float(rng.choice([0.0, 0.0, 0.2]))

@@ -48,7 +48,7 @@ SECONDS = 20.0
 GAP = 0.02
 """Distance that the UGV keeps from walls beyond its declared clearance [m]: more than it moves aside in a tick."""
 ROUND = 0.4
-"""Radius of the inner corners of its way [m]."""
+"""Radius of the inner corners of its route [m]."""
 AGILE = 0.5
 """Maximum acceleration of the UGV [m/s²]."""
 HIGHEST = 25.0
@@ -86,8 +86,8 @@ def triangles(rng: np.random.Generator) -> list[Any]:
 def walls(rng: np.random.Generator) -> list[Any]:
     places = rng.uniform(8.0, SIZE - 8.0, (int(rng.integers(2, 8)), 2))
     angles, half = rng.uniform(0.0, math.pi, len(places)), rng.uniform(2.0, 6.0, len(places))
-    way = np.stack((np.cos(angles), np.sin(angles)), axis=-1) * half[:, None]
-    lines = shapely.linestrings(np.stack((places - way, places + way), axis=1))
+    half_line = np.stack((np.cos(angles), np.sin(angles)), axis=-1) * half[:, None]
+    lines = shapely.linestrings(np.stack((places - half_line, places + half_line), axis=1))
     return list(shapely.buffer(lines, 0.15, cap_style="flat"))
 
 
@@ -114,7 +114,7 @@ def town(rng: np.random.Generator) -> tuple[list[Any], list[float]]:
 
 
 def rings(shapes: list[Any], clearance: float) -> list[Any]:
-    """Return the closed ways around the buildings, inside the area, at this distance [m]."""
+    """Return the closed routes around the buildings, inside the area, at this distance [m]."""
     # inner corners are round, so that the UGV can follow them
     around = shapely.union_all(shapely.buffer(shapes, clearance + ROUND, quad_segs=64))
     around = shapely.buffer(around, -ROUND, quad_segs=64)
@@ -132,17 +132,19 @@ def risked_error(changes: list[str]) -> float:
 
 
 def scenario_of(rng: np.random.Generator) -> tuple[Scenario, list[Any], list[float], Any] | None:
-    """Return a scenario, its buildings, their heights, and the way of the UGV; None if this town has no way."""
+    """Return a scenario, its buildings, their heights, and the route of the UGV; None if this town has none."""
     shapes, heights = town(rng)
     clearance = rng.choice([0.5, 1.0, 1.5, 2.5])
-    ways = rings(shapes, clearance + GAP) if shapes else []
-    if not ways:
+    routes = rings(shapes, clearance + GAP) if shapes else []
+    if not routes:
         return None
-    way = ways[rng.integers(len(ways))]
+    route = routes[rng.integers(len(routes))]
     farther = rings(shapes, clearance + 2.0 * TILE)  # on tiles that the product accepts as a start
     if not farther:
         return None
-    x, y = ops.nearest_points(shapely.union_all(farther), shapely.Point(way.coords[0]))[0].coords[0]
+    x, y = ops.nearest_points(shapely.union_all(farther), shapely.Point(route.coords[0]))[0].coords[
+        0
+    ]
     v_g = rng.choice([0.2, 0.3])
     loss = rng.choice([0.0, 0.0, 0.1, 0.3])
     delay, half_angle = rng.choice([0.0, 0.1, 0.25]), rng.choice([0.5, 0.785, 1.2])
@@ -189,7 +191,7 @@ def scenario_of(rng: np.random.Generator) -> tuple[Scenario, list[Any], list[flo
         return None
     above = min(rng.choice([0.0, 0.01, 1.0, HIGHEST]), HIGHEST - floor)
     start = load_scenario("town", overrides=[*changes, f"uav.0.initial_altitude={floor + above}"])
-    return start, shapes, heights, way
+    return start, shapes, heights, route
 
 
 def drawn_scenario(rng: np.random.Generator) -> tuple[Scenario, list[Any], list[float], Any]:
@@ -200,12 +202,12 @@ def drawn_scenario(rng: np.random.Generator) -> tuple[Scenario, list[Any], list[
 # -- adversaries
 
 
-class Way:
-    """Points along a closed way, in many worlds."""
+class RouteFollower:
+    """Points along a closed route, in many worlds."""
 
     def __init__(self, ring: Any, speed: float, dt: float, rng: np.random.Generator) -> None:
         self._ring = ring
-        self._along = np.zeros(WORLDS)  # speed along the way
+        self._along = np.zeros(WORLDS)  # speed along the route
         self._arrived = np.zeros(WORLDS, dtype=bool)
         self._s, self._turn = np.zeros(WORLDS), rng.choice([-1.0, 1.0], WORLDS)
         self._speed, self._dt, self._rng = speed, dt, rng
@@ -230,7 +232,7 @@ class Way:
         off = self._at(self._s) - position
         far = np.maximum(np.linalg.norm(off, axis=-1), 1e-12)
         self._arrived |= far < 0.01
-        # slow enough to stop on its way, not beyond
+        # slow enough to stop on its route, not beyond
         braking = np.abs(self._along) + np.sqrt(0.5 * AGILE * far)
         speed = np.minimum(np.minimum(self._speed, braking), far / self._dt)
         wanted = off * (speed / far)[:, None]
@@ -255,13 +257,15 @@ class Pilot:
         self._climb = np.where(new, rng.choice([-9.0, -9.0, 0.0, 9.0], worlds), self._climb)
         gaps = np.linalg.norm(ugv[:, None] - self._centers, axis=-1)
         behind = 2.0 * self._centers[np.argmin(gaps, axis=-1)] - ugv  # beyond the nearest building
-        way = np.select(
+        heading = np.select(
             [(self._mode == k)[:, None] for k in (0, 1)],
             [uav - ugv, behind - uav],
             np.stack((np.cos(self._angle), np.sin(self._angle)), axis=-1),
         )
-        way = way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
-        level = np.where((self._mode == 3)[:, None], way * 0.3, (2.0 * way - velocity) / 0.05)
+        heading = heading / np.maximum(np.linalg.norm(heading, axis=-1, keepdims=True), 1e-9)
+        level = np.where(
+            (self._mode == 3)[:, None], heading * 0.3, (2.0 * heading - velocity) / 0.05
+        )
         return np.concatenate((level, self._climb[:, None]), axis=-1)
 
 
@@ -294,8 +298,8 @@ class Judge:
     def sees(self, uav: Any, z: Any, ugv: Any) -> Any:
         """Return where the UGV is visible. Shape (worlds,)."""
         far = np.linalg.norm(uav - ugv, axis=-1)
-        reach = np.minimum(self._r_v, (z - self._marker) * self._tangent)
-        return (far < reach) & ~self.hidden(uav, z, ugv)
+        radius = np.minimum(self._r_v, (z - self._marker) * self._tangent)
+        return (far < radius) & ~self.hidden(uav, z, ugv)
 
     def is_clear(self, ugv: Any) -> Any:
         """Return where the UGV keeps its clearance. Shape (worlds,)."""
@@ -331,7 +335,10 @@ def attack(seed: int, filtered: bool = True) -> Counter[str]:
     )
     loop.begin(list(range(seed * WORLDS, (seed + 1) * WORLDS)))
     vehicles, judge, pilot = loop.state.batch.vehicles, Judge(scenario, shapes, heights), None
-    way, pilot = Way(ring, scenario.ugv[0].max_speed, scenario.dt, rng), Pilot(shapes, rng)
+    follower, pilot = (
+        RouteFollower(ring, scenario.ugv[0].max_speed, scenario.dt, rng),
+        Pilot(shapes, rng),
+    )
     counts = Counter(runs=WORLDS, towns=1)
     clear, broken = np.ones(WORLDS, dtype=bool), np.zeros(WORLDS)
     lost, wrong, exceeded = np.zeros((3, WORLDS), dtype=bool)
@@ -350,7 +357,7 @@ def attack(seed: int, filtered: bool = True) -> Counter[str]:
         actions = np.zeros((WORLDS, 2, 3))
         actions[:, 0] = pilot.command(uav, ugv, velocity[:, 0])
         places = vehicles["reference_position"][:, 1]
-        actions[:, 1, :2] = way.command(
+        actions[:, 1, :2] = follower.command(
             places, velocity[:, 1], lambda at, p=uav, h=z: judge.hidden(p, h, at)
         )
         loop.step(actions)

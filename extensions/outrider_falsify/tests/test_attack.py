@@ -152,7 +152,7 @@ def test_trajectories_arriving_too_late_lose_sight() -> None:
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0])
-def test_uav_starting_in_motion_keeps_its_certificate(delay: float) -> None:
+def test_uav_that_starts_moving_keeps_its_certificate(delay: float) -> None:
     rows = flown(Conditions(start_speed=1.0, delay=delay), 0.3)
     assert not any(rows[name].any() for name in ("certified_lost", "broken"))
     assert rows["max_certified"].max() < R_V

@@ -162,7 +162,7 @@ def test_an_operator_of_the_worlds_unit_is_one_of_the_run() -> None:
     assert outputs["ugv_0.velocity.y"] > 0.05
 
 
-def test_the_worlds_unit_loses_sight_where_the_run_does_at_low_altitude() -> None:
+def test_world_unit_loses_sight_where_a_low_run_does() -> None:
     changes = ["uav.0.initial_altitude=4.0", "law.name=coverage", "duration=25.0"]
     flown = load_scenario("escort", overrides=changes)
     flight, summary = fly(flown, 4)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from statistics import fmean
-from typing import Any
+from typing import Any, NamedTuple
 
 from bus.registry import LAWS
 from outrider.experiments.intervals import interquartile_interval
@@ -113,6 +113,14 @@ def _standing(entry: str, results: Sequence[Result]) -> Standing:
     )
 
 
+class _Job(NamedTuple):
+    """Evaluation of an entry in a task."""
+
+    name: str
+    entry: Entry
+    task: Task
+
+
 def leaderboard(
     entries: Mapping[str, Entry] | Sequence[str] | None = None,
     *,
@@ -149,9 +157,9 @@ def leaderboard(
     if len(set(flown.names)) < len(flown):
         raise ValueError(f"tasks: {', '.join(flown.names)}: duplicate name; allowed: unique names")
     kept = new_secret() if secret is None else check_secret(secret)
-    jobs = [(name, entry, task) for task in flown for name, entry in field.items()]
+    jobs = [_Job(name, entry, task) for task in flown for name, entry in field.items()]
 
-    def fly(job: tuple[str, Entry, Task]) -> Result:
+    def fly(job: _Job) -> Result:
         name, entry, task = job
         return evaluate(
             task,

@@ -279,10 +279,10 @@ def test_any_damaged_file_loads_or_is_refused_in_one_line(tmp_path: Path) -> Non
         if k % 4 == 0:
             del damaged[rng.randrange(len(whole)) :]
         for _ in range(rng.choice((1, 4, 16)) if k % 4 else 0):
-            place = rng.choice(
+            offset = rng.choice(
                 (rng.randrange(len(whole)), rng.randrange(ends), -1 - rng.randrange(ends))
             )
-            damaged[place] ^= 1 << rng.randrange(8)
+            damaged[offset] ^= 1 << rng.randrange(8)
         file.write_bytes(damaged)
         try:
             load_npz_policy(str(file), "custom.uav_policy")

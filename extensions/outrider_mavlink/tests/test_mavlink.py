@@ -52,12 +52,12 @@ def ecef(latitude, longitude, height):
     )
 
 
-def enu(origin, place):
+def enu(origin, position):
     """Return east, north and up of a position in the tangent plane at the origin [m]."""
     phi, lam = math.radians(origin.latitude), math.radians(origin.longitude)
     east = np.array([-math.sin(lam), math.cos(lam), 0.0])
     up = np.array([math.cos(phi) * math.cos(lam), math.cos(phi) * math.sin(lam), math.sin(phi)])
-    away = ecef(*place) - ecef(origin.latitude, origin.longitude, origin.altitude)
+    away = ecef(*position) - ecef(origin.latitude, origin.longitude, origin.altitude)
     return np.array([east @ away, np.cross(up, east) @ away, up @ away])
 
 
@@ -216,12 +216,12 @@ def test_both_vehicles_are_reported_with_their_true_state(run):
     assert (local.x, local.y, local.z) == (12.0, 10.0, -10.0)  # north is y, east is x
     assert (local.vx, local.vy) == pytest.approx((-0.4, 0.3))
     assert local.time_boot_ms == 1000
-    (place,) = select(arrived, "GLOBAL_POSITION_INT", UAV)
+    (position,) = select(arrived, "GLOBAL_POSITION_INT", UAV)
     latitude, longitude, altitude = geodetic(Origin(), 10.0, 12.0, 10.0)
-    assert (place.lat, place.lon) == (round(latitude * 1e7), round(longitude * 1e7))
-    assert (place.alt, place.relative_alt) == (round(altitude * 1e3), 10_000)
-    assert (place.vx, place.vy) == (-40, 30)
-    assert place.hdg == round(math.degrees(math.atan2(0.3, -0.4)) * 100)
+    assert (position.lat, position.lon) == (round(latitude * 1e7), round(longitude * 1e7))
+    assert (position.alt, position.relative_alt) == (round(altitude * 1e3), 10_000)
+    assert (position.vx, position.vy) == (-40, 30)
+    assert position.hdg == round(math.degrees(math.atan2(0.3, -0.4)) * 100)
     (attitude,) = select(arrived, "ATTITUDE", UAV)
     assert attitude.yaw == pytest.approx(math.atan2(0.3, -0.4))
 
@@ -233,9 +233,9 @@ def test_the_altitude_of_a_uav_is_reported(run):
     arrived = run.station.send()
     (local,) = select(arrived, "LOCAL_POSITION_NED", UAV)
     assert (local.z, local.vz) == pytest.approx((-7.5, -0.4))
-    (place,) = select(arrived, "GLOBAL_POSITION_INT", UAV)
+    (position,) = select(arrived, "GLOBAL_POSITION_INT", UAV)
     _, _, altitude = geodetic(Origin(), 10.0, 12.0, 7.5)
-    assert (place.alt, place.relative_alt, place.vz) == (round(altitude * 1e3), 7500, -40)
+    assert (position.alt, position.relative_alt, position.vz) == (round(altitude * 1e3), 7500, -40)
     (ground,) = select(arrived, "GLOBAL_POSITION_INT", UGV)
     assert ground.relative_alt == 0
     assert "ugv_0 is hidden by a building" in texts(arrived)

@@ -403,7 +403,7 @@ def test_with_the_bounds_of_a_risk_a_run_meets_it() -> None:
     assert chances.loss_probability == sum(chances.exceedance_probability.values())
 
 
-def test_errors_are_bounded_for_the_noise_at_the_greatest_slant_range() -> None:
+def test_errors_are_bounded_for_the_noise_at_the_greatest_range() -> None:
     changes = ["detections.truncation=inf", "uav.0.max_altitude=20"]
     town = load_scenario("town", overrides=changes)
     found = bounds_for(town, 3e-3)

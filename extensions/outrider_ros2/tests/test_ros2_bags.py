@@ -307,8 +307,8 @@ def _flipped(folder, flown):
     _truncated(folder, flown, 1.0)
     (file,) = folder.glob("*.mcap")
     raw = bytearray(file.read_bytes())
-    for place in range(3000, len(raw) - 9000, 50):
-        raw[place] ^= 0x55
+    for offset in range(3000, len(raw) - 9000, 50):
+        raw[offset] ^= 0x55
     file.write_bytes(raw)
 
 

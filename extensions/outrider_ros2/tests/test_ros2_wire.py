@@ -225,9 +225,9 @@ def test_a_uav_with_an_altitude_flies_above_the_ground():
     line = marks["uav_0/line of sight"]
     assert [point.z for point in line.points] == [2.5, 0.0]
     assert line.color.r > line.color.g  # a building hides the UGV
-    reach = 2.5 * math.tan(town.camera.half_angle)
+    radius = 2.5 * math.tan(town.camera.half_angle)
     ends = [math.dist((point.x, point.y), (3.0, 4.5)) for point in marks["uav_0/r"].points]
-    assert ends == pytest.approx([reach] * len(ends))
+    assert ends == pytest.approx([radius] * len(ends))
     still = _by_topic(None, view)
     assert {one.ns for one in still["/discs"].markers}.isdisjoint({"uav_0/r", "ugv_0/r_v"})
     (building,) = still["/buildings"].markers

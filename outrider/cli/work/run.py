@@ -55,8 +55,8 @@ def run(wanted: RunOptions) -> None:
     check_code(flown, named, source=wanted.scenario, allowed=wanted.allow_code)
     print_warnings((*scenario_warnings(flown), *check_own_functions(flown)))
     _check_recording(wanted.record)
-    place = output_folder(wanted.out, flown.name) if wanted.files else nullcontext()
-    with place as folder, stop_on_signals() as stop:
+    output_context = output_folder(wanted.out, flown.name) if wanted.files else nullcontext()
+    with output_context as folder, stop_on_signals() as stop:
         output = Output(
             folder=str(folder or ""), picture=wanted.picture, record=str(wanted.record or "")
         )

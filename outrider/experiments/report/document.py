@@ -260,13 +260,13 @@ def page(material: Material, pictures: dict[str, Path], command: str) -> str:
         pictures: Picture files by name.
         command: Command line that makes this report.
     """
-    look = (files("outrider.experiments.report") / "page.css").read_text("utf-8")
+    css = (files("outrider.experiments.report") / "page.css").read_text("utf-8")
     title = " · ".join(
         dict.fromkeys(head.sweep.title or head.sweep.scenario for head in material.heads)
     )
     parts = [
         f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>{escape(title)}</title><style>{look}</style>",
+        f"<title>{escape(title)}</title><style>{css}</style>",
         f"<h1>{escape(title)}</h1>",
         '<p class="muted">Robustness of visibility, ‖p_a − p_g‖ &lt; r_v, to network degradation.</p>',
         *_facts(material),

@@ -252,8 +252,8 @@ def ages(material: Material) -> Figure | None:
     """Draw the age of information of the links over all laws; None if no run has recorded it."""
     cells = material.cells
     kinds = {
-        kind: look
-        for kind, look in _KINDS.items()
+        kind: style_of
+        for kind, style_of in _KINDS.items()
         if any(cell.numbers(f"{kind}_mean_age") for cell in cells)
     }
     if not kinds:
@@ -335,7 +335,7 @@ def draw_all(material: Material, out: Path) -> dict[str, Path]:
         ("errors", errors),
         ("ages", ages),
     ):
-        with style.look():
+        with style.plot_style():
             figure = draw(material)
             path = out / f"{name}.png"
             if figure is None:

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -164,7 +164,15 @@ def _join(into: _Block, rows: list[dict[str, Any]]) -> bool:
     return True
 
 
-def _blocks(found: Sequence[tuple[Path, SweepHead, list[dict[str, Any]]]]) -> list[_Block]:
+class _Folder(NamedTuple):
+    """Results of one sweep."""
+
+    path: Path
+    head: SweepHead
+    rows: list[dict[str, Any]]
+
+
+def _blocks(found: Sequence[_Folder]) -> list[_Block]:
     """Return the blocks of all folders; blocks with equal fields are merged, such as blocks with different laws."""
     blocks: dict[bytes, list[_Block]] = defaultdict(list)
     for folder, head, rows in found:
@@ -227,7 +235,7 @@ def read_material(
     Raises:
         ScenarioError: If a folder does not belong to a sweep, has no rows yet, or is damaged.
     """
-    found = [(folder, *_read(folder, on_notice)) for folder in dict.fromkeys(folders)]
+    found = [_Folder(folder, *_read(folder, on_notice)) for folder in dict.fromkeys(folders)]
     for folder, _, rows in found:
         if not rows:
             raise ScenarioError(f"{folder}: no results yet; resume the sweep")

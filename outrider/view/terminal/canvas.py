@@ -78,17 +78,16 @@ class Canvas:
             letter = self._letters[row][column]
             own = (self._colors[row][column], self._grounds[row][column], bool(letter))
             if own != style and text:
-                segments.append(_segment(text, style))
+                segments.append(_segment(text, *style))
                 text = ""
             style = own
             text += letter or (
                 chr(_BLANK | self._bits[row][column]) if self._bits[row][column] else " "
             )
         if text:
-            segments.append(_segment(text, style))
+            segments.append(_segment(text, *style))
         return segments
 
 
-def _segment(text: str, style: tuple[str, str, bool]) -> Segment:
-    color, ground, bold = style
+def _segment(text: str, color: str, ground: str, bold: bool) -> Segment:
     return Segment(text, Style(color=color or None, bgcolor=ground, bold=bold))

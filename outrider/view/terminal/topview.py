@@ -95,8 +95,8 @@ def draw(
         canvas.letter(4, 4, "no position yet", FAINT)
         return canvas
     limits = [ring for ring in scene.rings if ring.around == vehicle]
-    reach = None if wide or not limits else _SHOWN * max(ring.radius for ring in limits)
-    window = _window(scene, truth.vehicles[vehicle].position, canvas, reach)
+    shown = None if wide or not limits else _SHOWN * max(ring.radius for ring in limits)
+    window = _window(scene, truth.vehicles[vehicle].position, canvas, shown)
     coverage = view.coverage
     if coverage is not None and len(coverage.cells) == coverage.rows * coverage.columns:
         _paint_grid(canvas, window, coverage, coverage.cell, coverage.cells, _COVERED)
@@ -110,9 +110,9 @@ def draw(
     for name, trail in trails.points.items():
         for point in trail:
             canvas.dot(*window.dot(point), UAV[1] if flies.get(name) else UGV[1])
-    here = window.dot(truth.vehicles[vehicle].position)
+    dot = window.dot(truth.vehicles[vehicle].position)
     for ring in limits:
-        canvas.circle(*here, ring.radius / window.scale, LIMIT, dashed=ring.dashed)
+        canvas.circle(*dot, ring.radius / window.scale, LIMIT, dashed=ring.dashed)
     if hazards is not None:
         for route in hazards.routes.values():
             for start, end in pairwise(map(window.dot, route)):
@@ -126,18 +126,18 @@ def draw(
         if one.name in truth.vehicles:
             canvas.letter(*window.dot(truth.vehicles[one.name].position), mark, color)
     if view.wanted is not None:
-        _paint_arrow(canvas, here, view.wanted)
+        _paint_arrow(canvas, dot, view.wanted)
     _paint_scale(canvas, window)
     return canvas
 
 
 def _window(
-    scene: Scene, middle: tuple[float, float], canvas: Canvas, reach: float | None
+    scene: Scene, middle: tuple[float, float], canvas: Canvas, shown: float | None
 ) -> _Window:
-    """Return the window within `reach` [m] of a point; None: the whole area."""
+    """Return the window within `shown` [m] of a point; None: the whole area."""
     width, height = 2 * canvas.width, 4 * canvas.height
-    if reach is not None:
-        scale = 2.0 * reach / min(width, height)
+    if shown is not None:
+        scale = 2.0 * shown / min(width, height)
         return _Window(x=middle[0], y=middle[1], scale=scale, width=width, height=height)
     scale = max(scene.width / max(width - 4, 1), scene.height / max(height - 4, 1))
     return _Window(x=scene.width / 2, y=scene.height / 2, scale=scale, width=width, height=height)
@@ -200,9 +200,9 @@ def _paint_area(canvas: Canvas, window: _Window, scene: Scene) -> None:
 _ARROWS = "→↗↑↖←↙↓↘"
 
 
-def _paint_arrow(canvas: Canvas, here: tuple[float, float], wanted: tuple[float, float]) -> None:
+def _paint_arrow(canvas: Canvas, start: tuple[float, float], wanted: tuple[float, float]) -> None:
     angle = math.atan2(wanted[1], wanted[0])
-    x, y = here[0] + 6.0 * math.cos(angle), here[1] - 7.0 * math.sin(angle)
+    x, y = start[0] + 6.0 * math.cos(angle), start[1] - 7.0 * math.sin(angle)
     canvas.letter(x, y, _ARROWS[round(4.0 * angle / math.pi) % 8], UGV[0])
 
 

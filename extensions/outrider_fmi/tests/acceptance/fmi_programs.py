@@ -117,8 +117,8 @@ def driving(folder: Path, python: Path, here: str) -> Iterator[Row]:
     header, ends = last[0].split(","), (last[1].split(","), last[-1].split(","))
     x, y = header.index("ugv_0.x [m]"), header.index("ugv_0.y [m]")
     (x_0, y_0), (x_1, y_1) = ((float(row[x]), float(row[y])) for row in ends)
-    way = ((x_1 - x_0) ** 2 + (y_1 - y_0) ** 2) ** 0.5
-    yield Row("and the UGV has gone its way", f"{way:.2f} m in 60 s", way > 5.0)
+    distance = ((x_1 - x_0) ** 2 + (y_1 - y_0) ** 2) ** 0.5
+    yield Row("and the UGV has driven its route", f"{distance:.2f} m in 60 s", distance > 5.0)
 
 
 def crashed(folder: Path, python: Path) -> Iterator[Row]:

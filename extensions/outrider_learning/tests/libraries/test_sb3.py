@@ -515,7 +515,7 @@ def test_learning_page_trains_and_evaluates(tmp_path, monkeypatch, capsys):
     assert "sight lost in 0 of 3 episodes" in capsys.readouterr().out
 
 
-def test_the_published_curves_of_baselines_have_the_words_of_the_code(
+def test_published_baseline_curves_have_the_words_of_the_code(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for folder in (ROOT / "benchmarks", ROOT / "tests"):

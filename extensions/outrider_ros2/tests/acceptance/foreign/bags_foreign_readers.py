@@ -24,8 +24,8 @@ QOS = {
 
 
 def numbers(odometry: Any) -> list[str]:
-    place, motion = odometry.pose.pose.position, odometry.twist.twist.linear
-    return [value.hex() for value in (place.x, place.y, motion.x, motion.y)]
+    position, velocity = odometry.pose.pose.position, odometry.twist.twist.linear
+    return [value.hex() for value in (position.x, position.y, velocity.x, velocity.y)]
 
 
 def by_topic(messages: Iterable[tuple[str, Any]]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ for topic, interface, raw in pickle.loads(Path(sys.argv[1]).read_bytes()):  # no
     message = deserialize_message(raw, getattr(module, name))
     read += 1
     if topic.endswith("/odom"):
-        place, motion = message.pose.pose.position, message.twist.twist.linear
-        numbers = [value.hex() for value in (place.x, place.y, motion.x, motion.y)]
+        position, velocity = message.pose.pose.position, message.twist.twist.linear
+        numbers = [value.hex() for value in (position.x, position.y, velocity.x, velocity.y)]
         tracks.setdefault(topic.split("/")[1], []).append(numbers)
 print(json.dumps({"read": read, "untried": sorted(untried), "odometry": tracks}))

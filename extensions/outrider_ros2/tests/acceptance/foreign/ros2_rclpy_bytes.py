@@ -11,10 +11,10 @@ from pathlib import Path
 from rclpy.serialization import deserialize_message, serialize_message
 
 
-def inverted(raw: bytes, place: int, kind: type) -> object:
+def inverted(raw: bytes, offset: int, kind: type) -> object:
     """Return the message with one byte inverted, or None if it is no message any longer."""
     other = bytearray(raw)
-    other[place] ^= 0xFF
+    other[offset] ^= 0xFF
     try:
         return deserialize_message(bytes(other), kind)
     except Exception:  # noqa: BLE001 - the library does not export its error
