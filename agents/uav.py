@@ -241,7 +241,7 @@ class UavPilot:
     ) -> tuple[float, float, float]:
         """Perceive, and return the nominal acceleration: x, y and z [m/s²].
 
-        That of the user's inner control comes first, then that of the policy, then that of the law.
+        The user's inner control comes first, then the policy, then the law.
         """
         target = self.estimator.target
         if self._policy is not None and self._flies_policy:

@@ -2,7 +2,7 @@
 
 A tick has three parts, since an environment observes after the first, and a user's code may replace the second:
 `perceive`, `nominal_control`, and `agents.safety.control.filter_control`. The estimate of the UGV is an argument: a
-pilot's estimator is filterpy's, that of a batch is compiled. A part that is None is not compiled.
+pilot's estimator is filterpy's, a batch's is compiled. A part that is None is not compiled.
 
 Records are tables of one row: a call from Python passes a table five times faster than a record.
 """

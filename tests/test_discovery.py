@@ -164,7 +164,9 @@ def test_batch_and_environment_discover_like_a_run(flown: Flown) -> None:
     ticks, counts = np.unique(found[0, 0][found[0, 0] >= 0], return_counts=True)
     assert dict(zip(ticks.tolist(), counts.tolist(), strict=True)) == flown.found
     assert not np.array_equal(found[0], found[1])
-    np.testing.assert_allclose(state.maps[0, 0], flown.pilot.coverage, atol=1e-9)
+    assert loop.pilots is not None
+    own_map = loop.pilots.state.uavs.coverage[0, 0]
+    np.testing.assert_allclose(own_map, flown.pilot.coverage, atol=1e-9)
     env = outrider.parallel_env(flown.flight.scenario, end_on_sight_lost=False)
     seen, _ = env.reset(seed=SEED)
     policies = pilots(env)

@@ -63,12 +63,12 @@ uav_is_stronger | uav.0.max_speed=0.2 | uav.0.max_speed = 0.2 | above 0.2 m/s
 uav_is_stronger | uav.0.max_acceleration=0.1 | uav.0.max_acceleration = 0.1 | above 0.1 m/s²
 ugv_is_seen_at_start | uav.0.position=[7, 12.75] | uav.0.position = [7.0, 12.75] | visibility.radius = 4.75 m
 wind_is_possible | wind.mean=[0.3, 0.4] & wind.limit=0.4 | wind.mean = [0.3, 0.4] | up to wind.limit = 0.4 m/s²
-inner_loops_hold | wind.mean=[1, 0] | uav.0.tracking.reserve = 0.5 | m/s² or more
-inner_loops_hold | uav.0.position_error=0.1 & uav.0.tracking.velocity_gain=40 | uav.0.tracking.velocity_gain = 40.0
+inner_loops_resist | wind.mean=[1, 0] | uav.0.tracking.reserve = 0.5 | m/s² or more
+inner_loops_resist | uav.0.position_error=0.1 & uav.0.tracking.velocity_gain=40 | uav.0.tracking.velocity_gain = 40.0
 | less than 40 1/s
-inner_loops_hold | uav.0.position_error=0.1 & uav.0.tracking.position_gain=80 | uav.0.tracking.position_gain = 80.0
+inner_loops_resist | uav.0.position_error=0.1 & uav.0.tracking.position_gain=80 | uav.0.tracking.position_gain = 80.0
 | less than 2 velocity_gain / dt = 80 1/s²
-inner_loops_hold | uav.0.position_error=0.1 & uav.0.tracking.position_gain=1e-9 | uav.0.tracking.position_gain = 1e-09
+inner_loops_resist | uav.0.position_error=0.1 & uav.0.tracking.position_gain=1e-9 | uav.0.tracking.position_gain = 1e-09
 | larger
 names_are_known | law.name=circel | law.name = "circel" | {LAWS}
 names_are_known | sensor.model=cone | sensor.model = "cone" | hill, plateau

@@ -1,4 +1,4 @@
-"""Drivers for the compiled tick: the driver of one pilot, or that of each UGV in a batch, chosen by its row.
+"""Drivers for the compiled tick: the driver of one pilot, or of each UGV in a batch, chosen by its row.
 
 A batch contains all drivers; those that need ground only if its scenario has ground.
 """

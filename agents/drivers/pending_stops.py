@@ -72,7 +72,7 @@ def _check_control(
 ) -> tuple[bool, bool]:
     """Check that the UGV executes the commands of this driver only. Arguments as in `state_ahead`.
 
-    It does from the start of the run, and otherwise once it has begun a trajectory of this driver: all commands sent
+    It does from the start of the run, and otherwise once it has started a trajectory of this driver: all commands sent
     before are then void.
 
     Returns:

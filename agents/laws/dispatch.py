@@ -1,4 +1,4 @@
-"""Laws for the compiled tick: the law of one pilot, or that of each UAV in a batch, chosen by its row.
+"""Laws for the compiled tick: the law of one pilot, or of each UAV in a batch, chosen by its row.
 
 Compiling a batch for a new set of laws takes 15 s. So a batch contains all laws that compile quickly, and only those
 slow ones that are flown.

@@ -51,17 +51,11 @@ def command(
 
     Example: outrider falsify --law switching --limit none
     """
+    from outrider_falsify import work  # noqa: PLC0415 - the compiler
     from outrider_falsify.engines import SearchRequest  # noqa: PLC0415 - the compiler
-    from outrider_falsify.work import (  # noqa: PLC0415 - the compiler
-        base_scenario,
-        check_error,
-        falsify,
-        flown_scenario,
-        limits_of_search,
-    )
 
     _check_control(control is not None, law, engine, altitude=altitude)
-    flown = flown_scenario(
+    flown = work.flown_scenario(
         scenario,
         law="certified" if control is not None else law,
         duration=options.FLIGHT if duration is None else duration,
@@ -75,11 +69,11 @@ def command(
         )
     flies = control is None and engine != "attack"
     attacks = certified and (control is not None or engine != "flights")
-    limits = limits_of_search(limit, flown)
-    check_error(error if attacks else None)
+    limits = work.limits_of_search(limit, flown)
+    work.check_error(error if attacks else None)
     _check_out(out)
     wanted = SearchRequest(
-        base=base_scenario(flown, limits) if flies else flown,
+        base=work.base_scenario(flown, limits) if flies else flown,
         limits=limits,
         flies=flies,
         attacks=attacks,
@@ -93,7 +87,7 @@ def command(
         eps=error,
         out=out,
     )
-    falsify(wanted, expect, json=json)
+    work.falsify(wanted, expect, json=json)
 
 
 def _check_out(out: Path | None) -> None:

@@ -113,32 +113,28 @@ def command(
         raise typer.BadParameter(
             f"--private and {'--to' if out else '--autopilot'}: not both; allowed: one of the two"
         )
-    from outrider_mavlink.opening import (  # noqa: PLC0415 - the extra [mavlink]
-        open_network,
-        private_address,
-    )
+    from outrider_mavlink import opening  # noqa: PLC0415 - the extra [mavlink]
 
     if private:
-        out = [private_address()]
+        out = [opening.private_address()]
     elif out is None and listen is None:
         out = [] if autopilot else [_OFFBOARD if vehicle else _OUT]
         listen = [_AUTOPILOT] if autopilot else []
     what = "telemetry" if vehicle else "setpoints" if autopilot else _TRUTH
-    network = open_network(what, out or [], listen or [], private=private, insecure=insecure)
+    network = opening.open_network(
+        what, out or [], listen or [], private=private, insecure=insecure
+    )
     began = time.monotonic()
     try:
         if vehicle or autopilot:
             name = vehicle or autopilot
-            from outrider_mavlink.flying import (  # noqa: PLC0415 - the extra [mavlink]
-                fly_by_setpoints,
-                fly_with_autopilot,
-            )
+            from outrider_mavlink import flying  # noqa: PLC0415 - the extra [mavlink]
 
             joined = joining(Role.UAV, name, connect, run, credentials, join_timeout)
             found = (
-                fly_by_setpoints(network, joined, first, height)
+                flying.fly_by_setpoints(network, joined, first, height)
                 if vehicle
-                else fly_with_autopilot(network, joined)
+                else flying.fly_with_autopilot(network, joined)
             )
         else:
             from outrider_mavlink.showing import show  # noqa: PLC0415 - the extra [mavlink]

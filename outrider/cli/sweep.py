@@ -118,7 +118,7 @@ def command(
         command=shlex.join(["outrider", *sys.argv[1:]]),
         text=text,
         fresh=fresh,
-        on_notice=lambda line: print_warnings([line]),
+        on_notice=_warn,
     ) as folder:
         before = len(folder.done)
         try:
@@ -225,3 +225,7 @@ def _print_results(
         again = "run the same command to fly them again"
         ERR.tell(f"outrider: {folder.failed} of {counts['rows']:,} runs failed: {reason}; {again}")
         raise typer.Exit(1)
+
+
+def _warn(line: str) -> None:
+    print_warnings([line])

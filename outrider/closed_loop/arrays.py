@@ -39,8 +39,8 @@ class LoopState(NamedTuple):
     """Metrics and observation rows."""
     certificates: RecordArray
     """`CertificateCounters` of each UAV. Shape (worlds, UAVs)."""
-    begun: IntArray
-    """1 after the episode has begun, 0 after a reset. Shape (worlds,)."""
+    started: IntArray
+    """1 after the first tick of the episode, 0 after a reset. Shape (worlds,)."""
 
 
 class PilotParameters(NamedTuple):

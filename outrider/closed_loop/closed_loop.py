@@ -101,11 +101,7 @@ class ClosedLoop:
         self.pilots: Pilots | None = None
         """Pilots; None if all actions are external and no other feature is needed."""
         if picked is not None:
-            own = (
-                tables_of_worlds(picked, scenario, worlds)
-                if self.randomization
-                else picked.own_tables(scenario)
-            )
+            own = tables_of_worlds(picked, scenario, worlds if self.randomization else None)
             self.pilots = picked.pilots(self.batch, options, own)
         self._drawn: DrawnWorlds | None = None
         if self.randomization:
@@ -148,7 +144,7 @@ class ClosedLoop:
             batch=self.batch.state,
             rows=row_state(rows, self.worlds),
             certificates=np.repeat(counters, self.worlds, axis=0),
-            begun=np.zeros(self.worlds, dtype=np.int64),
+            started=np.zeros(self.worlds, dtype=np.int64),
         )
         return tables, state
 

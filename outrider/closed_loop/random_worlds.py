@@ -40,8 +40,10 @@ def _set_row(table: Any, world: int, own: Any) -> None:  # noqa: ANN401 - nested
         table[world] = own[0]
 
 
-def tables_of_worlds(chosen: ChosenPilots, scenario: Scenario, worlds: int) -> OwnTables:
-    """Return the tables of worlds that may differ, each with the numbers of the scenario."""
+def tables_of_worlds(chosen: ChosenPilots, scenario: Scenario, worlds: int | None) -> OwnTables:
+    """Return the tables of this number of worlds that may differ; None: one row serves all."""
+    if worlds is None:
+        return chosen.own_tables(scenario)
     tables: OwnTables = _repeated(chosen.own_tables(scenario, MOST_LEVELS), worlds)
     return tables
 

@@ -223,19 +223,19 @@ def run_worlds(
     for n in range(begin, end):
         k = worlds[n]
         for tick in range(ticks):
-            begins, started = state.begun[k] == 0, batch.ticks[k]
+            begins, now = state.started[k] == 0, batch.ticks[k]
             if begins:
-                state.begun[k] = 1
+                state.started[k] = 1
                 begin_world(tables.batch, batch, ground, k)
             else:
                 if pilots is None:
-                    apply_actions(batch.vehicles, tables.action_row, k, started, actions[k])
+                    apply_actions(batch.vehicles, tables.action_row, k, now, actions[k])
                 else:
                     command(tables, state, pilots, ground, k, actions[k])
                 world_tick(tables.batch, batch, ground, k, True)
             if pilots is not None:
                 if not begins:
-                    _count_actions(tables, state, pilots, k, started)
+                    _count_actions(tables, state, pilots, k, now)
                 perceive(tables, state, pilots, ground, k)
             measure(tables.batch, batch, k, tables.rows.episode[0].error)
             advance_rows(tables.batch, batch, ground, tables.rows, rows, k, begins)

@@ -86,9 +86,6 @@ def commands(functions: Mapping[str, Function]) -> Function:
     `call(code, vehicle, parameters, memory, inputs)` calls the function with this index as `function(vehicle,
     parameters.name, memory.name, inputs)`. Both records nest one record for each name. A function whose name they lack
     is not compiled; if it is called nevertheless, the command is NaN. A name that is alone needs no selection.
-
-    Args:
-        functions: Compiled functions by name.
     """
 
     def call(

@@ -269,7 +269,7 @@ def _law_warnings(scenario: Scenario) -> Iterator[str]:
 def _separation_warnings(scenario: Scenario) -> Iterator[str]:
     if len(scenario.uav) > 1:
         names = ", ".join(uav.name for uav in scenario.uav)
-        yield f"{names}: nothing keeps UAVs apart; the metric min_separation tells how close they came"
+        yield f"{names}: nothing keeps UAVs apart; the metric min_separation is the smallest distance"
 
 
 def _code_warnings(scenario: Scenario) -> Iterator[str]:

@@ -176,7 +176,8 @@ def test_score_reports_a_certificate_ended_without_reason(monkeypatch):
         """Declare a smaller age to the safety filter than its detections have."""
 
         def begin(self, seeds: Any, worlds: Any = None) -> None:
-            self.tables.safety["max_age_ticks"] = 0
+            assert self.pilots is not None
+            self.pilots.tables.uavs.safety["max_age_ticks"] = 0
             super().begin(seeds, worlds)
 
     monkeypatch.setattr(worlds, "ClosedLoop", Impatient)
