@@ -113,17 +113,15 @@ def command(
         raise typer.BadParameter(
             f"--private and {'--to' if out else '--autopilot'}: not both; allowed: one of the two"
         )
-    from outrider_mavlink import opening  # noqa: PLC0415 - the extra [mavlink]
+    from outrider_mavlink.opening import open_network, private_address  # noqa: PLC0415 - an extra
 
     if private:
-        out = [opening.private_address()]
+        out = [private_address()]
     elif out is None and listen is None:
         out = [] if autopilot else [_OFFBOARD if vehicle else _OUT]
         listen = [_AUTOPILOT] if autopilot else []
     what = "telemetry" if vehicle else "setpoints" if autopilot else _TRUTH
-    network = opening.open_network(
-        what, out or [], listen or [], private=private, insecure=insecure
-    )
+    network = open_network(what, out or [], listen or [], private=private, insecure=insecure)
     began = time.monotonic()
     try:
         if vehicle or autopilot:
