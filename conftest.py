@@ -14,6 +14,9 @@ from bus import joining
 from outrider.cli import main
 from processes import wait_until
 
+signal.signal(signal.SIGINT, signal.default_int_handler)
+"""A shell that starts the tests in the background ignores it, and every process of a test would inherit that."""
+
 FIRST = (
     *("assurance", "estimator_late", "fuzz_decoders", "bus", "attack"),
     *("faults", "dashboard_run", "falsify", "sweep", "rogue", "suite"),
