@@ -15,10 +15,18 @@ from agents.laws.policy import PolicyControl, TargetEstimate, UavPolicy
 from agents.laws.selection import SelectedLaw
 from agents.safety.altitude import Acceleration
 from agents.safety.safety_filter import SafetyFilter
+from agents.team.member import TeamMember
+from agents.team.records import team_memory
 from agents.uav_constants import uav_constants
-from agents.uav_inputs import KnownBuildings, UavInputs, uav_inputs
+from agents.uav_inputs import KnownBuildings, UavInputs, team_inputs, uav_inputs
 from agents.uav_parameters import uav_parameters
-from agents.uav_tick import UavMemory, altitude_control, fly_law, occlusion_of, perceive
+from agents.uav_tick import (
+    UavMemory,
+    altitude_control,
+    fly_law,
+    occlusion_of,
+    perceive,
+)
 from bus.errors import ScenarioError
 from bus.messages.base import Vector
 from bus.messages.scenario import Law
@@ -94,15 +102,21 @@ class UavPilot:
         self.estimator = estimator_of(briefing)
         self.filter: SafetyFilter | None = self._make_filter()
         """Safety filter of the law `certified` and of a user's inner control; None for other laws."""
-        guard = self.filter or SafetyFilter(briefing)  # all flights compile the same types
+        safety = self.filter or SafetyFilter(briefing)  # all flights compile the same types
         # tables of one row: a single row becomes read-only when pickled
         self._constants = uav_constants(briefing)
         self._memory = UavMemory(
             uav=self._constants.uav.copy(),
             coverage=self.coverage,
             altitude=None if briefing.altitude is None else altitude_memory(briefing),
-            filter=guard.memory,
+            filter=safety.memory,
+            team=team_memory(briefing, self.coverage),
         )
+        self.team: TeamMember | None = None
+        """Its part in its team; None: it has none."""
+        parameters, memory = self._constants.team, self._memory.team
+        if parameters is not None and memory is not None:
+            self.team = TeamMember(briefing, parameters, memory, self._constants.safety)
         self.map_updates = MapUpdateScheduler(briefing)
         """Scheduler of the map updates."""
         self._tick: int | None = None
@@ -117,7 +131,7 @@ class UavPilot:
 
     @property
     def _watched(self) -> bool:
-        return self._inner is not None or self._law.row.watched
+        return self._briefing.team is not None or self._inner is not None or self._law.row.watched
 
     def _check_own_functions(self) -> None:
         own = self._law.row.own
@@ -154,13 +168,19 @@ class UavPilot:
             self._select_law(observation.law)
         wanted = None if self._inner is None else self._inner(observation)
         inputs = self._receive(observation)
-        nominal = self._nominal(observation, inputs, wanted)
-        acceleration, vertical, decision = nominal[:2], nominal[2], None
+        u_x, u_y, vertical = self._nominal(observation, inputs, wanted)
+        acceleration, decision, team = (u_x, u_y), None, self.team
+        if team is not None:
+            acceleration = team.control(inputs, acceleration)
         backups: tuple[BackupTrajectory, ...] = ()
-        if self.filter is not None:
-            decision = self.filter.decide(inputs, Acceleration(*nominal))
+        if self.filter is not None and (team is None or team.filtered):
+            decision = self.filter.decide(inputs, Acceleration(*acceleration, vertical))
             acceleration, vertical = decision.acceleration, decision.vertical_acceleration
             backups = self.filter.backup_trajectories(tick)
+        number, message = 0, None
+        if team is not None:
+            team.accept(decision)
+            number, message = team.number, team.message(observation, self.coverage)
         estimate = self._estimate
         if estimate is None:
             return UavCommand(
@@ -168,6 +188,8 @@ class UavPilot:
                 acceleration=acceleration,
                 vertical_acceleration=vertical,
                 backup_trajectories=backups,
+                number=number,
+                team=message,
             )
         target_position = estimate.position
         return UavCommand(
@@ -177,12 +199,15 @@ class UavPilot:
             backup_trajectories=backups,
             radio=() if tick % self._radio_ticks else self._radio(observation, *target_position),
             map_updates=self.map_updates.due(tick, target_position),
+            number=number,
+            team=message,
             report=UavReport(
                 estimate=target_position,
                 covariance=estimate.covariance,
                 age=estimate.age,
                 rejected=estimate.rejected,
                 decision=decision,
+                role=None if team is None else team.role,
             ),
         )
 
@@ -207,7 +232,10 @@ class UavPilot:
             self._policy.perceive(observation)
         detections = detection_rows(observation.detections, self._dt)
         self._estimate = self.estimator.update(
-            tick=tick, own_position=observation.position, detections=detections
+            tick=tick,
+            own_position=observation.position,
+            detections=detections,
+            received=observation.team,
         )
         self._tick = tick
         if observation.buildings and self._buildings is not None:
@@ -220,6 +248,7 @@ class UavPilot:
             elapsed=0 if before is None else tick - before,
             vertical=self._vertical,
             buildings=self._buildings,
+            team=team_inputs(self._briefing, observation),
         )
 
     def _select_law(self, law: Law) -> None:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 from agents.altitude_law import AltitudeParameters, altitude_parameters
 from agents.estimation.motion_model import KalmanParameters, kalman_parameters
 from agents.safety.levels import bounds_of, levels_of
+from agents.team.records import team_parameters
 from agents.uav_parameters import UavParameters, uav_parameters
 from bus.messages.vehicle import UavBriefing
 from sim.compiling.records import RecordArray, records
@@ -24,6 +25,8 @@ class UavConstants(NamedTuple):
     """Its bounds by increasing floor; None: all UAVs fly in the plane. Shape (levels,)."""
     altitude: RecordArray | None
     """`AltitudeParameters`; None: all UAVs fly in the plane. Shape (1,)."""
+    team: RecordArray | None
+    """`TeamParameters`; None: there are no teams. Shape (1,)."""
 
 
 def uav_constants(briefing: UavBriefing) -> UavConstants:
@@ -45,4 +48,5 @@ def uav_constants(briefing: UavBriefing) -> UavConstants:
         safety=records(SafetyBounds, [bounds_of(briefing)]),
         levels=levels,
         altitude=altitude,
+        team=team_parameters(briefing),
     )

@@ -1,19 +1,21 @@
 """State of one UAV and the messages that it has received in a tick: the inputs of its on-board software."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from bus.messages.vehicle import UavObservation
-from bus.ticks import DetectionRow, detection_array
+from bus.messages.team import BLOCK_CELLS, MOST_COVERAGE_BLOCKS
+from bus.messages.vehicle import UavBriefing, UavObservation
+from bus.ticks import NO_TICK, DetectionRow, detection_array
 from sim.compiling.compile import FloatArray, IntArray
-from sim.compiling.records import RecordArray
+from sim.compiling.records import RecordArray, record_type
 from sim.models.altitude import VerticalState
 from sim.models.trajectories import NO_TRAJECTORY
 from sim.models.vehicles import State
 
+ByteArray = npt.NDArray[np.uint8]
 _NO_DETECTIONS: FloatArray = np.zeros((0, len(DetectionRow._fields)))
 DETECTION: Any = DetectionRow._make(range(3))
 """Columns of an array of detections."""
@@ -35,6 +37,35 @@ class KnownBuildings(NamedTuple):
     """Tick in which the UAV discovered a building; -1: it did not. Shape (buildings,)."""
 
 
+class ReceivedMessage:
+    """A team-mate's message for compiled code."""
+
+    sender: int
+    """Row of its UAV in the team."""
+    tick: int
+    number: int
+    certified: bool
+    x: float
+    y: float
+    """Position of its UAV [m]."""
+    measured: int
+    """Tick of its newest measurement; NO_TICK: none."""
+    g_x: float
+    g_y: float
+    """Measured position of the UGV [m]."""
+    blocks: Annotated[IntArray, (MOST_COVERAGE_BLOCKS,)]
+    """Index of each coverage block, row by row; -1: none."""
+    cells: Annotated[ByteArray, (MOST_COVERAGE_BLOCKS, BLOCK_CELLS**2)]
+
+
+class TeamInputs(NamedTuple):
+    """Stored number of a UAV, and its team-mates' messages of a tick."""
+
+    number: int
+    messages: RecordArray
+    """`ReceivedMessage`. Shape (messages,)."""
+
+
 class UavInputs(NamedTuple):
     """State and messages of one UAV in a tick."""
 
@@ -52,6 +83,8 @@ class UavInputs(NamedTuple):
     """Number of valid rows of `detections`."""
     buildings: KnownBuildings | None
     """None: there are none."""
+    team: TeamInputs | None
+    """None: there are no teams."""
 
 
 def uav_inputs(
@@ -61,6 +94,7 @@ def uav_inputs(
     elapsed: int = 0,
     vertical: RecordArray | None = None,
     buildings: KnownBuildings | None = None,
+    team: TeamInputs | None = None,
 ) -> UavInputs:
     """Convert the message of a tick.
 
@@ -70,6 +104,7 @@ def uav_inputs(
         elapsed: Ticks since the last observation.
         vertical: `VerticalState`, in which the altitude is recorded; None: the UAV flies in the plane. Shape (1,).
         buildings: Known buildings.
+        team: Number and messages of its team, from `team_inputs`.
     """
     if vertical is not None and observation.altitude is not None:
         vertical["altitude"], vertical["rate"] = observation.altitude, observation.climb_rate
@@ -85,4 +120,25 @@ def uav_inputs(
         detections=rows,
         received=len(rows),
         buildings=buildings,
+        team=team,
     )
+
+
+def team_inputs(briefing: UavBriefing, observation: UavObservation) -> TeamInputs | None:
+    """Convert the number and the team-mates' messages of a tick; None: the UAV has no team."""
+    if briefing.team is None:
+        return None
+    messages = observation.team
+    rows = np.zeros(len(messages), record_type(ReceivedMessage))
+    across = -(-round(briefing.area.width / briefing.area.cell) // BLOCK_CELLS)
+    for row, message in zip(rows, messages, strict=True):
+        row["sender"], row["tick"] = briefing.mates.index(message.sender), message.tick
+        row["number"], row["certified"] = message.number, message.certified
+        row["x"], row["y"] = message.position
+        row["measured"] = NO_TICK if message.measured is None else message.measured
+        row["g_x"], row["g_y"] = message.measurement
+        row["blocks"] = -1
+        for k, block in enumerate(message.blocks):
+            row["blocks"][k] = block.row * across + block.column
+            row["cells"][k] = np.frombuffer(block.cells, np.uint8)
+    return TeamInputs(observation.number, rows)

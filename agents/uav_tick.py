@@ -14,6 +14,8 @@ from agents.laws.dispatch import FlownLaw, law_command
 from agents.laws.inputs import LawInputs
 from agents.safety.control import record_measurements
 from agents.safety.memory import FilterMemory
+from agents.team.records import TeamMemory
+from agents.team.tick import law_coverage, perceive_team
 from agents.uav_constants import UavConstants
 from agents.uav_inputs import KnownBuildings, UavInputs
 from agents.uav_parameters import Target, UavParameters
@@ -38,6 +40,8 @@ class UavMemory(NamedTuple):
     altitude: RecordArray | None
     """`AltitudeMemory`; None: all UAVs fly in the plane. Shape (1,)."""
     filter: FilterMemory
+    team: TeamMemory | None
+    """None: there are no teams."""
 
 
 @unless_none
@@ -90,7 +94,7 @@ def perceive(constants: UavConstants, memory: UavMemory, inputs: UavInputs, filt
         constants: Constants of the UAV.
         memory: Memory of the UAV, changed in place.
         inputs: State and messages.
-        filtered: True if its safety filter is in use.
+        filtered: True if its safety filter is in use; in a team, its role decides instead.
     """
     uav, own = memory.uav[0], inputs.own
     _adjust_sensor(uav, constants.altitude, inputs.vertical)
@@ -105,7 +109,17 @@ def perceive(constants: UavConstants, memory: UavMemory, inputs: UavInputs, filt
             inputs.elapsed * uav.dt,
             occlusion_of(inputs),
         )
-    if filtered:
+    if perceive_team(
+        constants.team,
+        memory.team,
+        inputs,
+        constants.safety,
+        memory.filter,
+        constants.uav[0],
+        uav,
+        memory.coverage,
+        filtered,
+    ):
         record_measurements(constants.safety, memory.filter, inputs)
 
 
@@ -165,7 +179,13 @@ def nominal_control(
     """
     uav, own = memory.uav[0], inputs.own
     if target.known:
-        known = LawInputs(memory.coverage, inputs.tick, own, target, occlusion_of(inputs))
+        known = LawInputs(
+            law_coverage(memory.team, memory.coverage),
+            inputs.tick,
+            own,
+            target,
+            occlusion_of(inputs),
+        )
         u_x, u_y = law_command(law.code, uav, law.parameters[0], law.memory[0], known)
         u_x, u_y = clip_norm(u_x, u_y, uav.max_acceleration)
     else:

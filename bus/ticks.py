@@ -24,6 +24,8 @@ MOST_TICKS = 2**40
 
 RADIO_PERIOD = 0.2
 """Time between two radio messages with relative information [s]."""
+TEAM_PERIOD = 0.2
+"""Time between two messages of a UAV to its team [s]."""
 
 
 class DetectionRow(NamedTuple):
@@ -68,6 +70,11 @@ def detection_array(detections: Sequence[DetectionRow]) -> npt.NDArray[np.float6
 def radio_ticks(dt: float) -> int:
     """Return the period, in ticks of dt [s], of the UAV's relative information by radio."""
     return max(1, round(RADIO_PERIOD / dt))
+
+
+def team_ticks(dt: float) -> int:
+    """Return the period, in ticks of dt [s], of a UAV's messages to its team."""
+    return max(1, round(TEAM_PERIOD / dt))
 
 
 def ticks_within(duration: float, dt: float) -> int:

@@ -53,7 +53,7 @@ class World:
     """
 
     def __init__(self, scenario: Scenario, seed: int, *, secret: str = "") -> None:
-        carried = (LinkKind.OPERATOR, LinkKind.RADIO)
+        carried = (LinkKind.OPERATOR, LinkKind.RADIO, LinkKind.TEAM)
         batch = Batch(scenario, 1, threads=1, secret=secret, others=carried)
         batch.begin((seed,))
         self._show(batch, 0, check_seed(seed), scenario)

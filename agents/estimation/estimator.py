@@ -26,6 +26,7 @@ from agents.estimation.motion_model import (
 )
 from agents.uav_parameters import Target
 from bus.messages.scenario import Detector, Estimator, Limits
+from bus.messages.team import TeamMessage
 from bus.messages.vehicle import UavBriefing
 from bus.ticks import NO_TICK, DetectionRow
 from sim.compiling.compile import FloatArray
@@ -57,6 +58,7 @@ class _Row(NamedTuple):
     own_position: tuple[float, float]  # p_a [m]
     prior: EstimatorState
     z: tuple[float, float] | None = None  # measured position of the UGV [m]
+    received: bool = False  # True if a team-mate measured it
 
 
 def bound_covariance(
@@ -161,7 +163,12 @@ class RelativeEstimator:
         return Target(s.known, x, y, v_x, v_y, s.P.item(0, 0), s.P.item(2, 2))
 
     def update(
-        self, *, tick: int, own_position: tuple[float, float], detections: Iterable[DetectionRow]
+        self,
+        *,
+        tick: int,
+        own_position: tuple[float, float],
+        detections: Iterable[DetectionRow],
+        received: Iterable[TeamMessage] = (),
     ) -> Estimate | None:
         """Advance to a tick and use the detections that have arrived, each at its own tick.
 
@@ -170,6 +177,7 @@ class RelativeEstimator:
             own_position: Current p_a [m].
             detections: Detections received since the last call, in any order. Of several in one tick, only the first is
                 used.
+            received: Messages of team-mates, whose measurements are used for ticks without an own detection.
 
         Returns:
             The estimate, or None before the first detection.
@@ -185,6 +193,7 @@ class RelativeEstimator:
             while (oldest := next(iter(self._history))) <= tick - self._depth:
                 del self._history[oldest]
         new = [detection.taken for detection in detections if self._insert(detection)]
+        new += [taken for one in received if (taken := self._insert_received(one)) is not None]
         if new:
             self._repeat(min(new))
         return self._estimate()
@@ -210,12 +219,21 @@ class RelativeEstimator:
             self.too_old, self.misdated = self.too_old + too_old, self.misdated + (not too_old)
             return False
         z = row.own_position[0] - detection.x, row.own_position[1] - detection.y
-        if row.z is not None:
+        if row.z is not None and not row.received:
             same = detection.taken == self._tick or row.z == z
             self.duplicates, self.misdated = self.duplicates + same, self.misdated + (not same)
             return False
-        self._history[detection.taken] = row._replace(z=z)
+        self._history[detection.taken] = row._replace(z=z, received=False)
         return True
+
+    def _insert_received(self, message: TeamMessage) -> int | None:
+        """Store a team-mate's measurement; return its tick, or None if it is unusable or that tick has one."""
+        taken = message.measured
+        row = None if taken is None else self._history.get(taken)
+        if taken is None or row is None or row.z is not None:
+            return None
+        self._history[taken] = row._replace(z=message.measurement, received=True)
+        return taken
 
     def _repeat(self, first: int) -> None:
         """Restore the state before a tick, and repeat predict and update for all later ticks."""

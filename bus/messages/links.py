@@ -20,6 +20,8 @@ class LinkKind(StrEnum):
     """From the operator to a UGV."""
     RADIO = "radio"
     """From a UAV to the UGV that it escorts."""
+    TEAM = "team"
+    """From a UAV to the other UAVs of its team."""
 
 
 class LinkSettings(Message, frozen=True, kw_only=True):

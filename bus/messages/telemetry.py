@@ -21,6 +21,7 @@ from bus.messages.control import Change, Rejection
 from bus.messages.decision import NotCertified
 from bus.messages.links import LinkStatus
 from bus.messages.scenario import Area, Limits, Origin
+from bus.messages.team import Role
 from bus.messages.vehicle import UavReport
 from bus.registry import DEFAULT_LAW
 
@@ -232,6 +233,27 @@ class CertificateStatus(Message, frozen=True, kw_only=True):
     """Largest tracking error so far [m]; None: no disturbance."""
 
 
+class TeamStatus(Message, frozen=True, kw_only=True):
+    """Guarantee and traffic of the teams so far (docs/explanation/teams.md)."""
+
+    team_certified_share: Share
+    """Share of the ticks in which a guard was certified, over all teams."""
+    team_out_of_sight: Tick
+    """Ticks in which no UAV of a team saw its UGV."""
+    team_certified_while_lost: Tick = 0
+    """Of these, ticks in which a guard was certified. Any but 0 disproves the guarantee."""
+    team_certificate_broken: Tick = 0
+    """Ticks in which a UAV with one of the largest stored numbers did not guard. Any but 0 disproves the guarantee."""
+    handovers: Tick = 0
+    """Changes of the UAV with the largest number."""
+    extra_guard_share: Share = 0.0
+    """Share of the ticks with more guards than wanted."""
+    team_traffic: NonNegative = 0.0
+    """Mean size of the messages that each UAV sends to its team, as JSON [B/s]."""
+    numbers: dict[Name, Tick] = {}
+    """Stored number of each UAV in a team; 0: it has never guarded."""
+
+
 class Status(Message, frozen=True, kw_only=True):
     """State of the run for observers, sent a few times per second."""
 
@@ -271,6 +293,10 @@ class Status(Message, frozen=True, kw_only=True):
     """Reason for the missing certificate, by UAV."""
     certificates: CertificateStatus | None = None
     """Counts of certificates so far; None: no safety filter."""
+    roles: dict[Name, Role] = {}
+    """Role of each UAV in a team."""
+    team: TeamStatus | None = None
+    """Counts of the teams so far; None: there are none."""
     mission: MissionResult | None = None
     """Result of the mission so far; None: no hazards."""
     warnings: tuple[Text, ...] = ()

@@ -40,6 +40,7 @@ from bus.messages.scenario import (
     ScriptStep,
     Sensor,
 )
+from bus.messages.team import Role, Team, TeamMessage
 
 MOST_CARRIED = 6
 """Maximum number of backup trajectories in one command: its own and earlier ones that have not started. It keeps a
@@ -136,6 +137,10 @@ class UavBriefing(VehicleBriefing, frozen=True, kw_only=True):
     """Declared height of the highest building [m]; None: there are no buildings."""
     origin: Origin = Origin()
     """Geographic position of the area's origin, for bridges that use degrees."""
+    team: Team | None = None
+    """Its team, with a definite `scout_range`; None: it has none."""
+    mates: tuple[Name, ...] = ()
+    """All UAVs of its team in name order, itself included; empty: it has none."""
     past: "tuple[UavObservation, ...]" = ()
     """Its observations so far in this run, tick by tick; without detections while its process was disconnected."""
 
@@ -215,6 +220,10 @@ class UavObservation(VehicleObservation, frozen=True, kw_only=True):
     """Buildings discovered in this tick: its camera has now seen all their corners."""
     law: Law | None = None
     """Control law from this tick on; None: unchanged."""
+    team: tuple[TeamMessage, ...] = ()
+    """Messages of its team-mates that arrived at this tick."""
+    number: Tick = 0
+    """Its number in the team, as it was stored last; it survives the process. 0: none."""
 
 
 class Teleoperation(Message, frozen=True, kw_only=True):
@@ -253,7 +262,9 @@ class UavReport(Message, frozen=True, kw_only=True):
     rejected: Tick
     """Detections that the gate has rejected so far."""
     decision: FilterDecision | None = None
-    """Decision of the safety filter; None: the law has no safety filter."""
+    """Decision of the safety filter; None: the law has no safety filter, or the UAV flies as a scout."""
+    role: Role | None = None
+    """Role in its team; None: it has none."""
 
 
 class UavCommand(Message, frozen=True, kw_only=True):
@@ -273,6 +284,10 @@ class UavCommand(Message, frozen=True, kw_only=True):
     """Radio messages to the UGV."""
     map_updates: Annotated[tuple[MapUpdate, ...], Meta(max_length=MOST_BLOCKS)] = ()
     """Blocks of its ground map for the UGV. A block that contradicts the UAV's sensor is not sent."""
+    number: Tick = 0
+    """Number in its team that the vehicle is to store; a smaller one than stored has no effect."""
+    team: TeamMessage | None = None
+    """Message to its team-mates."""
     report: UavReport | None = None
     """Report to observers."""
 

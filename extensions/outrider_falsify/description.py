@@ -2,7 +2,7 @@
 
 import math
 
-from sim.engine.briefing import largest_error
+from sim.scenario.safety import largest_error
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 

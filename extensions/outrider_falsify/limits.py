@@ -11,7 +11,8 @@ from bus.errors import ScenarioError
 from bus.messages.links import LinkSettings
 from bus.numbers import above, exact
 from bus.registry import LAWS
-from sim.engine.briefing import largest_error, safety_parameters, uav_briefing
+from sim.engine.briefing import uav_briefing
+from sim.scenario.safety import largest_error, safety_parameters
 from sim.scenario.types import DEFAULT_AGE, Certificate, LinkTable, Scenario, Uav, Ugv
 
 _NEVER = 1e-9

@@ -21,8 +21,8 @@ from outrider_networks.probabilities import (
     smallest_command_interval,
     smallest_error,
 )
-from sim.engine.briefing import command_delay, largest_noise, safety_parameters
 from sim.input.faults import Fault
+from sim.scenario.safety import command_delay, largest_noise, safety_parameters
 from sim.scenario.types import Scenario, Uav
 
 NEARLY_CERTAIN = 0.999

@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from outrider.cli.console import OUT, print_table, printable
-from outrider.running.metrics import CERTIFICATE, LINK, MISSION, RUN, UAV, Metric
+from outrider.running.metrics import CERTIFICATE, LINK, MISSION, RUN, TEAM, UAV, Metric
 from outrider.running.summary import Summary
 
 TextRow = tuple[str | Text, str | Text]
@@ -88,6 +88,8 @@ def _rows(summary: Summary) -> Iterator[TextRow]:
     if summary.law is not None:
         yield from _metrics(UAV, summary)
     yield from _metrics(CERTIFICATE, summary)
+    if summary.team is not None:
+        yield from _metrics(TEAM, summary.team)
     if (mission := summary.mission) is not None:
         yield from _metrics(MISSION, mission, *([] if mission.finds else ["finds", "found"]))
     for change in summary.changes:

@@ -172,6 +172,7 @@ def constants_of(tables: PilotTables, world: int, uav: int) -> UavConstants:
         _row(uavs.safety, world, uav),
         _rows(uavs.levels, world, uav),
         _row(uavs.altitude, world, uav),
+        None,
     )
 
 
@@ -185,6 +186,7 @@ def memory_of(pilots: Pilots, world: int, uav: int) -> UavMemory:
         map_of(uavs.coverage, world, uav),
         _row(uavs.altitude, world, uav),
         _filter_of(uavs.filter, delay, world, uav),
+        None,
     )
 
 
@@ -273,4 +275,5 @@ def inputs_of(
         pilots.state.detections[world],
         batch.links[world, uav].arrived,
         _buildings_of(batch.town, batch.buildings, world, uav),
+        None,
     )

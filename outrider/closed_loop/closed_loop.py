@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from agents.safety.safety_filter import decision_of
+from bus.errors import ScenarioError
 from bus.messages.decision import FilterDecision
 from bus.messages.links import LinkKind, LinkStatus
 from bus.messages.telemetry import MissionResult
@@ -64,6 +65,10 @@ class ClosedLoop:
         error: bool = False,
         **settings: Any,  # noqa: ANN401 - fields of `Settings`
     ) -> None:
+        if scenario.team is not None:
+            raise ScenarioError(
+                "team: batches and environments have no teams yet; allowed: no [team], or `outrider run`"
+            )
         options = settings_of(settings)
         given, ranges = scenario, options.randomize
         self.randomization = Randomization(scenario, ranges) if ranges else None

@@ -120,6 +120,7 @@ def _constants(briefings: Sequence[UavBriefing], most_levels: int, in_space: boo
         safety=table("safety", SafetyBounds),
         levels=levels,
         altitude=altitude,
+        team=None,
     )
 
 
@@ -310,6 +311,7 @@ class ChosenPilots:
             if scenario.has_altitude
             else None,
             filter=_repeated(fresh_filter, worlds, len(briefings)),
+            team=None,
         )
 
     def _grids(self, worlds: int) -> OccupancyGrid:

@@ -38,20 +38,14 @@ from outrider.running.link_assumptions import (
     interval_findings,
     percent,
 )
-from sim.engine.briefing import (
-    hiding_fault,
-    largest_tracking_error,
-    monitored_bounds,
-    noise_range,
-    safety_parameters,
-    uav_briefing,
-)
+from sim.engine.briefing import hiding_fault, monitored_bounds, uav_briefing
 from sim.models.detection import error_share
 from sim.models.ground import span
 from sim.models.hazards import BLOCK, TOUCH
 from sim.models.safety import SafetyBounds
 from sim.scenario.clearance import report_faults
 from sim.scenario.ground_tables import ground_tables
+from sim.scenario.safety import largest_tracking_error, noise_range, safety_parameters
 from sim.scenario.types import LinkTable, Scenario, Uav, Ugv
 
 GUIDE = "docs/how-to/keep-sight.md"

@@ -96,7 +96,7 @@ UAV = _table(
            "building, and not positive exactly if sight was lost.", total="min"),
     Metric("visibility_violations", "out of sight", "ticks", 0,
            "Ticks at a distance of r_v or more, eq. (5), at the UAV's altitude, or behind a "
-           "building.",
+           "building. Of a team: ticks in which none of its UAVs saw the UGV.",
            total="sum", goal=0.0, column="int64"),
     Metric("switching_radius", "switching radius r_s", "m", 3,
            "Distance beyond which the switching law only tracks, eq. (18); none if it is "
@@ -148,6 +148,28 @@ CERTIFICATE = _table(
            "Declared bound of `largest_tracking_error`."),
 )
 """Metrics of the safety filters of all UAVs."""
+
+TEAM = _table(
+    Metric("team_certified_share", "a guard certified", "%", 2,
+           "Share of the ticks in which at least one guard of a team was certified.",
+           goal=1.0, column="double"),
+    Metric("team_out_of_sight", "out of the team's sight", "ticks", 0,
+           "Ticks in which no UAV of a team saw its UGV.", goal=0.0, column="int64"),
+    Metric("team_certified_while_lost", "team certified while lost", "ticks", 0,
+           "Ticks with a certified guard in which no UAV of the team saw the UGV.",
+           goal=0.0, guaranteed=True, column="int64"),
+    Metric("team_certificate_broken", "team certificate broken", "ticks", 0,
+           "Ticks in which a UAV with one of the largest stored numbers did not guard.",
+           goal=0.0, guaranteed=True, column="int64"),
+    Metric("handovers", "hand-overs", "", 0,
+           "Changes of the UAV with the largest number.", column="int64"),
+    Metric("extra_guard_share", "more guards than wanted", "%", 1,
+           "Share of the ticks with more than `guards` guards, as during a hand-over.",
+           column="double"),
+    Metric("team_traffic", "messages to the team", "B/s", 0,
+           "Mean size of the messages that each UAV sends to its team.", column="double"),
+)
+"""Metrics of all teams, as in the message `TeamStatus`."""
 
 MISSION = _table(
     Metric("arrived", "at the goals", "", 0,
@@ -275,6 +297,7 @@ TABLES = {
     "Run": RUN,
     "UAV": UAV,
     "Safety filter": CERTIFICATE,
+    "Team": TEAM,
     "Mission": MISSION,
     "Link": LINK,
     "Process": PROCESS,
@@ -283,8 +306,8 @@ TABLES = {
 }
 """All tables by the heading of their section in the reference."""
 
-SUMMARY = RUN | UAV | CERTIFICATE | MISSION
-"""Metrics of a run's summary; mission metrics are fields of `Summary.mission`."""
+SUMMARY = RUN | UAV | CERTIFICATE | TEAM | MISSION
+"""Metrics of a run's summary; metrics of teams and missions are fields of `Summary.team` and `Summary.mission`."""
 
 
 def columns() -> dict[str, Column]:

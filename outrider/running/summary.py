@@ -11,8 +11,14 @@ import numpy as np
 from bus.messages.control import Action, Change
 from bus.messages.decision import NotCertified
 from bus.messages.links import LinkStatus
-from bus.messages.telemetry import CertificateStatus, MissionResult, VehicleStatus
+from bus.messages.telemetry import (
+    CertificateStatus,
+    MissionResult,
+    TeamStatus,
+    VehicleStatus,
+)
 from sim.models.vehicles import raw_switching_radius
+from sim.scenario.team import mates_of
 from sim.server.flight import Flight
 from sim.server.recorder import platform_row
 
@@ -84,6 +90,8 @@ class Summary(UavMetrics, frozen=True, kw_only=True):
     longest_command_interval: float | None = None
     max_tracking_error: float | None = None
     largest_tracking_error: float | None = None
+    team: TeamStatus | None = None
+    """Guarantee of the teams; None: there are none."""
     mission: MissionResult | None = None
     """Mission of the UGVs; None where there are no hazards."""
     uavs: dict[str, UavMetrics] = {}
@@ -171,6 +179,15 @@ def certificate_fields(status: CertificateStatus | None) -> dict[str, Any]:
     }
 
 
+def _observers(flight: Flight, rows: list[int]) -> list[list[int]]:
+    """Return the rows of UAVs in groups: a team sees its UGV if one of its UAVs does; others count for themselves."""
+    names = [uav.name for uav in flight.world.uavs]
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for k in rows:
+        groups.setdefault(mates_of(flight.scenario, names[k]) or (names[k],), []).append(k)
+    return list(groups.values())
+
+
 def _uav_metrics(flight: Flight, rows: list[int]) -> dict[str, Any]:
     """Return the merged metrics of several UAVs, from their recorded states and reports.
 
@@ -183,13 +200,16 @@ def _uav_metrics(flight: Flight, rows: list[int]) -> dict[str, Any]:
     distance, error = recorded[:, :, 0], recorded[:, :, 1]
     pairs = world.escorts[rows]
     p_a, p_g = (recorder.states[:, pairs[:, k], :2] for k in (0, 1))
+    groups = _observers(flight, rows)
+    margins = [recorder.margins[:, group].max(axis=1).min() for group in groups]
+    lost = [recorder.lost[:, group].all(axis=1).sum() for group in groups]
     radii = [switching_radius_of(flight, k) for k in rows]
     beyond = distance >= np.array([math.inf if r_s is None else r_s for r_s in radii])
     return {
         "max_distance": float(distance.max()) if distance.size else None,
         "mean_distance": _mean(distance),
-        "min_margin": float(recorder.margins[:, rows].min()) if distance.size else None,
-        "visibility_violations": int(recorder.lost[:, rows].sum()),
+        "min_margin": float(min(margins)) if distance.size else None,
+        "visibility_violations": int(sum(lost)),
         "switching_radius": next(iter(radii), None),
         "crossings": int((beyond[1:] & ~beyond[:-1]).sum()),
         "initial_error": _mean(error[0]),
@@ -267,6 +287,7 @@ def summarize(
         faults=_faults(vehicles or {}, flight.answers.shortened),
         telemetry_faults=dict(telemetry_faults),
         largest_tracking_error=recorder.tracking_error,
+        team=flight.answers.teams.status(),
         mission=world.mission,
         links=world.links.status(),
         traces={one.name: one.sha256 for one in world.link_table.traces},

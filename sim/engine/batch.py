@@ -17,9 +17,9 @@ from sim.channel.description import check_link
 from sim.compiling.compile import IntArray, released
 from sim.compiling.records import fill
 from sim.compiling.threads import WorkerThreads
-from sim.engine.briefing import safety_parameters, ugv_carries, ugv_delay
+from sim.engine.briefing import ugv_carries, ugv_delay
 from sim.engine.ground_state import CONSTANTS, GroundState, ground_of, strides_of
-from sim.engine.run_keys import check_seed, derive_keys
+from sim.engine.run_keys import check_seed, derive_keys, keys_of_places
 from sim.engine.scenario_links import ENGINE_LINKS, key_rows, links_of, vehicles_with
 from sim.engine.space_state import buildings_of, town_of
 from sim.engine.world_state import (
@@ -32,7 +32,7 @@ from sim.engine.world_state import (
     world_parameters,
 )
 from sim.engine.world_tick import begin_world, world_tick
-from sim.models.randomness import BUILDING_FIELDS, HAZARD_FIELDS
+from sim.models.randomness import BUILDING_FIELDS, HAZARD_FIELDS, TEAM_LINK
 from sim.models.trajectories import no_trajectories
 from sim.scenario.building_tables import run_buildings
 from sim.scenario.ground_tables import (
@@ -42,6 +42,7 @@ from sim.scenario.ground_tables import (
     place_fields,
     world_tables,
 )
+from sim.scenario.safety import safety_parameters
 from sim.scenario.types import Scenario
 
 
@@ -195,7 +196,12 @@ class Batch:
         keys = derive_keys(given, len(self.scenario.vehicles), self._secret)
         self.state.vehicles["keys"][which] = keys.swapaxes(1, 2)
         purposes, vehicles = self._key_rows
-        self.links.records["key"][which] = keys[:, purposes, vehicles]
+        others = len(purposes) - purposes.count(TEAM_LINK)  # links of teams come last
+        self.links.records["key"][which, :others] = keys[:, purposes[:others], vehicles[:others]]
+        if others < len(purposes):
+            places = [(TEAM_LINK, vehicle) for vehicle in vehicles[others:]]
+            words = keys_of_places(given, places, self._secret)
+            self.links.records["key"][which, others:] = words
         self._draw_ground(which)
         return which
 

@@ -7,17 +7,18 @@ from bus.messages.base import or_none
 from bus.messages.buildings import Building
 from bus.messages.ground import UavGround, UgvGround
 from bus.messages.links import LinkKind
-from bus.messages.scenario import Detector, Limits, SafetyParameters
+from bus.messages.scenario import Detector, Limits
 from bus.messages.vehicle import Briefing, UavBriefing, UgvBriefing
 from sim.channel.description import longest_delay
 from sim.engine.run_keys import derive_key
 from sim.models.camera import noise_at
-from sim.models.inner_loop import tracking_error
 from sim.models.randomness import BUILDING_FIELDS, PILOT, words_of
 from sim.models.safety import SafetyBounds, safety_bounds
 from sim.scenario.building_tables import max_building_height, run_buildings
 from sim.scenario.clearance import clearance_fault, guaranteed_clearance
-from sim.scenario.types import DEFAULT_AGE, Scenario, Uav, Ugv, altitude_limits
+from sim.scenario.safety import safety_parameters
+from sim.scenario.team import briefed_team, mates_of
+from sim.scenario.types import Scenario, Uav, Ugv, altitude_limits
 
 
 def limits(vehicle: Uav | Ugv) -> Limits:
@@ -25,33 +26,6 @@ def limits(vehicle: Uav | Ugv) -> Limits:
     return Limits(
         max_speed=or_none(vehicle.max_speed), max_acceleration=or_none(vehicle.max_acceleration)
     )
-
-
-def noise_range(scenario: Scenario, uav: Uav) -> tuple[float, float]:
-    """Return the smallest and the largest standard deviation of a UAV's detections per axis [m].
-
-    With an altitude, noise grows with the slant range: it is smallest at the lowest altitude directly above the UGV,
-    and largest at the highest altitude and the farthest detection.
-    """
-    noise, limits = scenario.detections.noise, altitude_limits(scenario, uav)
-    if limits is None:
-        return noise, noise
-    reference, sensing_range = scenario.camera.reference_altitude, scenario.sensor.range
-    return (
-        float(noise_at(noise, reference, 0.0, limits.min_altitude)),
-        float(noise_at(noise, reference, sensing_range, limits.max_altitude)),
-    )
-
-
-def largest_noise(scenario: Scenario, uav: Uav) -> float:
-    """Return the largest standard deviation of a UAV's detections per axis, at any altitude and distance [m]."""
-    return noise_range(scenario, uav)[1]
-
-
-def largest_error(scenario: Scenario, uav: Uav) -> float:
-    """Return the largest error of a UAV's detections, as a vector norm [m]; infinite: unbounded."""
-    noise = largest_noise(scenario, uav)
-    return noise * scenario.detections.truncation if noise > 0.0 else 0.0
 
 
 def detector_noise(scenario: Scenario, uav: Uav) -> float:
@@ -92,42 +66,9 @@ def clearance_notice(scenario: Scenario, name: str, driver: str) -> str:
     )
 
 
-def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
-    """Return the largest distance of a UAV from its reference position, w [m]; infinite if unbounded."""
-    return tracking_error(uav.tracking, scenario.wind.largest, uav.position_error, scenario.dt)
-
-
 def ugv_carries(scenario: Scenario, ugv: Ugv) -> bool:
     """Return whether a UGV's commands carry backup trajectories, as with the driver `navigate`."""
     return scenario.has_ground and ugv.driver == "navigate"
-
-
-def command_delay(scenario: Scenario, uav: str) -> float:
-    """Return the longest delay of a UAV's commands [s]: the declared one, or the longest of its link."""
-    if scenario.certificate.max_command_delay is not None:
-        return scenario.certificate.max_command_delay
-    return longest_delay(scenario.links.of(uav, LinkKind.COMMANDS), scenario.links.traces)
-
-
-def safety_parameters(scenario: Scenario, uav: str) -> SafetyParameters:
-    """Return the parameters of a UAV's safety filter."""
-    given = scenario.certificate
-    tracking = given.max_tracking_error
-    (vehicle,) = (one for one in scenario.uav if one.name == uav)
-    if tracking is None:
-        tracking = or_none(largest_tracking_error(scenario, vehicle))
-    return SafetyParameters(
-        max_measurement_error=given.max_measurement_error
-        if given.max_measurement_error is not None
-        else or_none(largest_error(scenario, vehicle)),
-        max_measurement_age=given.max_measurement_age or DEFAULT_AGE,
-        max_command_delay=command_delay(scenario, uav),
-        max_command_interval=scenario.dt
-        if given.max_command_interval is None
-        else given.max_command_interval,
-        max_tracking_error=tracking,
-        margin=given.margin,
-    )
 
 
 def monitored_bounds(scenario: Scenario, uav: str) -> SafetyBounds:
@@ -217,6 +158,8 @@ def uav_briefing(
         ),
         max_building_height=max_building_height(scenario),
         origin=scenario.origin,
+        team=briefed_team(scenario, uav),
+        mates=mates_of(scenario, name),
     )
 
 

@@ -11,7 +11,7 @@ import operator
 import re
 import secrets
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from hashlib import blake2b
 
 import numpy as np
@@ -91,10 +91,25 @@ def derive_keys(seeds: Iterable[int], vehicles: int, secret: str = "") -> WordAr
     Returns:
         Two words for each purpose and vehicle. Shape (seeds, RUN_PURPOSES, vehicles, 2).
     """
+    places = [(purpose, row) for purpose in range(RUN_PURPOSES) for row in range(vehicles)]
+    words = keys_of_places(seeds, places, secret)
+    return words.reshape(-1, RUN_PURPOSES, vehicles, 2)
+
+
+def keys_of_places(
+    seeds: Iterable[int], places: Sequence[tuple[int, int]], secret: str = ""
+) -> WordArray:
+    """Derive some keys of runs with different seeds.
+
+    Args:
+        seeds, secret: As in `derive_keys`.
+        places: Purpose and vehicle of each key.
+
+    Returns:
+        Two words for each key. Shape (seeds, places, 2).
+    """
     base = blake2b(digest_size=16, key=bytes.fromhex(secret), person=_PERSON)
-    suffixes = [
-        _PLACE.pack(purpose, row) for purpose in range(RUN_PURPOSES) for row in range(vehicles)
-    ]
+    suffixes = [_PLACE.pack(purpose, row) for purpose, row in places]
     digests = []
     for seed in seeds:
         prefix = _SEED.pack(seed)
@@ -103,7 +118,7 @@ def derive_keys(seeds: Iterable[int], vehicles: int, secret: str = "") -> WordAr
             digest.update(prefix + suffix)
             digests.append(digest.digest())
     words = np.frombuffer(b"".join(digests), dtype="<u8").astype(np.uint64)
-    return words.reshape(-1, RUN_PURPOSES, vehicles, 2)
+    return words.reshape(-1, len(places), 2)
 
 
 def derive_key(seed: int, purpose: int, vehicle: int, secret: str = "") -> str:

@@ -8,7 +8,14 @@ from collections.abc import Sequence
 
 from bus.messages.links import LinkKind
 from sim.channel.links import Links
-from sim.models.randomness import COMMAND_LINK, DETECTION_LINK, OPERATOR_LINK, RADIO_LINK
+from sim.models.randomness import (
+    COMMAND_LINK,
+    DETECTION_LINK,
+    OPERATOR_LINK,
+    RADIO_LINK,
+    TEAM_LINK,
+)
+from sim.scenario.team import mates_of
 from sim.scenario.types import Scenario, Uav, Ugv
 
 ENGINE_LINKS = (LinkKind.DETECTIONS, LinkKind.COMMANDS)
@@ -18,18 +25,21 @@ _PURPOSES = {
     LinkKind.COMMANDS: COMMAND_LINK,
     LinkKind.OPERATOR: OPERATOR_LINK,
     LinkKind.RADIO: RADIO_LINK,
+    LinkKind.TEAM: TEAM_LINK,
 }
 _VEHICLES = {
     LinkKind.DETECTIONS: Uav,
     LinkKind.COMMANDS: Uav | Ugv,
     LinkKind.OPERATOR: Ugv,
     LinkKind.RADIO: Uav,
+    LinkKind.TEAM: Uav,
 }
 
 
 def vehicles_with(scenario: Scenario, kind: LinkKind) -> tuple[str, ...]:
     """Return the vehicles that have a link of this kind, in name order."""
-    return tuple(one.name for one in scenario.vehicles if isinstance(one, _VEHICLES[kind]))
+    names = tuple(one.name for one in scenario.vehicles if isinstance(one, _VEHICLES[kind]))
+    return tuple(name for name in names if kind is not LinkKind.TEAM or mates_of(scenario, name))
 
 
 def links_of(scenario: Scenario, kinds: Sequence[LinkKind], worlds: int = 1) -> Links:

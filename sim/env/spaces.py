@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium import spaces
 
 from bus.observations import OMITTED, ROUNDING, largest
-from sim.engine.briefing import largest_error
+from sim.scenario.safety import largest_error
 from sim.scenario.types import Scenario, Uav, Ugv, altitude_limits
 
 FREE_ACCELERATION = 10.0

@@ -154,6 +154,8 @@ def _fields(kind: type[msgspec.Struct], path: list[str]) -> list[str]:
             info = info.item_type
         elif isinstance(info, inspect.StructType):
             info = next(field.type for field in info.fields if field.encode_name == part)
+        if isinstance(info, inspect.UnionType):  # a table that may be missing
+            info = next((one for one in info.types if hasattr(one, "fields")), info)
     return [field.encode_name for field in info.fields] if hasattr(info, "fields") else []
 
 

@@ -21,6 +21,7 @@ from sim.input.faults import Fault, near, one_line, unknown_name
 from sim.input.reading import as_raw, type_fault, typed
 from sim.scenario.building_checks import BUILDING_CHECKS, building_warnings
 from sim.scenario.ground_checks import GROUND_CHECKS, hazard_warnings
+from sim.scenario.team import teams_are_possible
 from sim.scenario.types import Scenario, switching_radius
 from sim.scenario.world_checks import WORLD_CHECKS, Check, escorts
 
@@ -211,6 +212,7 @@ CHECKS: tuple[Check, ...] = (
     circle_is_within_sight,
     *BUILDING_CHECKS,
     *GROUND_CHECKS,
+    teams_are_possible,
 )
 """Checks in order: later ones may rely on earlier ones."""
 

@@ -15,6 +15,7 @@ from bus.messages.buildings import MOST_BUILDINGS, Altitude, AltitudeLimits, Bui
 from bus.messages.ground import DEFAULT_SHARE, Hazard
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Area, Estimator, Law, Origin, Region, ScriptStep, Sensor
+from bus.messages.team import Team
 from bus.registry import CAUTIONS, DEFAULT_DRIVER, HAZARDS
 from sim.channel.recorded import RecordedLink
 from sim.models.inner_loop import InnerLoop
@@ -208,6 +209,8 @@ class _Links(Table, frozen=True, kw_only=True):
     """From the operator to a UGV."""
     radio: LinkSettings = LinkSettings()
     """From a UAV to its UGV."""
+    team: LinkSettings = LinkSettings()
+    """From a UAV to the other UAVs of its team."""
 
 
 class VehicleLinks(_Links, frozen=True, kw_only=True):
@@ -322,6 +325,8 @@ class Scenario(Table, frozen=True, kw_only=True):
     """Camera of the UAVs that have an altitude."""
     altitude: AltitudeLaw = AltitudeLaw()
     """Altitude of the UAVs that have one."""
+    team: Team | None = None
+    """Cooperation of the UAVs that escort the same UGV; default: none, each escorts it for itself."""
     uav: tuple[Uav, ...] = ()
     """UAVs; none: the UGVs drive without an escort."""
     ugv: Annotated[tuple[Ugv, ...], Meta(min_length=1)]

@@ -6,14 +6,18 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 
 from bus.messages.decision import NotCertified
+from bus.messages.team import Role
 from bus.messages.telemetry import VehicleStatus
 from bus.messages.vehicle import BackupTrajectory, Command, UavCommand, UavReport
 from bus.numbers import above, exact
 from bus.registry import LAWS
 from sim.engine.monitor import Evidence
+from sim.scenario.team import teams_of
 from sim.scenario.types import Scenario
 from sim.server.assurance import Assurance
 from sim.server.recorder import Recorder
+from sim.server.team_radio import TeamRadio
+from sim.server.team_watch import TeamWatch
 from sim.world import World
 
 _ROUNDING = 1e-6
@@ -49,6 +53,7 @@ class Answers:
     Args:
         scenario: Scenario of the run.
         world, recorder: World and recorder of the run.
+        team: Numbers and messages of its teams.
         on_notice: Called with one line for the user.
     """
 
@@ -57,6 +62,7 @@ class Answers:
         scenario: Scenario,
         world: World,
         recorder: Recorder,
+        team: TeamRadio,
         on_notice: Callable[[str], None],
     ) -> None:
         self._world, self._recorder, self._on_notice = world, recorder, on_notice
@@ -80,6 +86,10 @@ class Answers:
         """Reason why the certificate in this report does not hold, which the UAV cannot know; None: no such reason."""
         self.assurance = Assurance(scenario)
         """Checks of the safety filters' reports."""
+        self.teams = TeamWatch(scenario, team, recorder)
+        """Checks of the teams."""
+        self._teamed = bool(teams_of(scenario))
+        self._filtering = [False] * len(world.uavs)  # True: the last report held a decision
         self._reporting = [False] * len(world.uavs)
         limits = np.square(world.vehicles["max_acceleration"] * (1.0 + _ROUNDING)).tolist()
         self._limits = dict(
@@ -127,6 +137,11 @@ class Answers:
             if report is not None and report.decision is not None
         }
 
+    def roles(self) -> dict[str, Role]:
+        """Return the role of each UAV in a team, as last reported."""
+        given = zip(self._uavs, self.reports, strict=True)
+        return {uav: report.role for uav, report in given if report and report.role is not None}
+
     def counted(self, name: str) -> VehicleStatus:
         """Return the command counters of a vehicle that has joined."""
         return VehicleStatus(
@@ -161,6 +176,10 @@ class Answers:
             command = commands.get(name)
             answer = command if isinstance(command, UavCommand) else None
             self._check_report(uav, answer, tick, law, clear_since[uav])
+        if self._teamed:
+            answers = map(commands.get, self._uavs)
+            current = [answer is not None and answer.tick == tick for answer in answers]
+            self.teams.record(tick, current, self.reports, self.revoked)
 
     def end(self) -> None:
         """Finish the run, after its last state was recorded: no vehicle sends a command for it."""
@@ -203,8 +222,12 @@ class Answers:
         self, uav: int, command: UavCommand | None, tick: int, law: str, clear_since: int | None
     ) -> None:
         """Compare a UAV's report of a tick with the true state."""
-        watched = LAWS[law].watched
         report = self.reports[uav] = None if command is None else command.report
+        watched = LAWS[law].watched
+        if self._teamed:  # a UAV of a team has a filter in some of its roles, whatever the law
+            if report is not None:
+                self._filtering[uav] = report.decision is not None
+            watched = self._filtering[uav]
         if report is not None and not (watched and report.decision is None):
             self._reporting[uav] = True
         elif command is not None and not self._reporting[uav]:

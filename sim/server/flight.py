@@ -33,6 +33,7 @@ from sim.server.clearance_watch import ClearanceWatch
 from sim.server.perception import News, Perception, UavPerception, UgvPerception
 from sim.server.radio import Radio
 from sim.server.recorder import Recorder
+from sim.server.team_radio import TeamRadio
 from sim.world import World
 
 
@@ -97,15 +98,17 @@ class Flight:
         """Current driver of each UGV."""
         self.world = World(scenario, seed, secret=secret)
         self.recorder = Recorder(self.world)
+        self.team = TeamRadio(self.world)
+        """Numbers and messages of the teams."""
         self.perceptions: dict[str, Perception] = {
             vehicle.name: (UavPerception if isinstance(vehicle, Uav) else UgvPerception)(
-                self.world, vehicle.name, episode
+                self.world, vehicle.name, episode, self.team
             )
             for vehicle in scenario.vehicles
         }
         """Perception of each vehicle, in name order."""
         self.on_notice = on_notice
-        self._answers = Answers(scenario, self.world, self.recorder, on_notice)
+        self._answers = Answers(scenario, self.world, self.recorder, self.team, on_notice)
         self._clearance = ClearanceWatch(scenario, self.world)
         self.routes: dict[str, tuple[Vector, ...]] = {}
         """Planned route of each UGV, as last reported: its corners [m]; for observers."""
@@ -194,6 +197,8 @@ class Flight:
             certified={name: reason is None for name, reason in reasons.items()},
             uncertified={name: reason for name, reason in reasons.items() if reason is not None},
             certificates=self.answers.assurance.status(),
+            roles=self.answers.roles(),
+            team=self.answers.teams.status(),
             mission=self.world.mission,
             warnings=tuple(self._clearance.notices.values()),
             links=self.world.links.status(),
@@ -271,6 +276,7 @@ class Flight:
             world.send(k, command.tick, command.acceleration, command.backup_trajectories, vertical)
             if isinstance(command, UavCommand):
                 self.radio.send(k, command)
+                self.team.send(name, command)
             elif command.route is not None:
                 self.routes[name] = command.route
         self._clearance.update(commands)

@@ -13,6 +13,7 @@ from bus.messages.buildings import Building
 from bus.messages.ground import MapUpdate, TileReport
 from bus.messages.links import LinkKind
 from bus.messages.scenario import Law
+from bus.messages.team import TeamMessage
 from bus.messages.vehicle import (
     Detection,
     Observation,
@@ -22,6 +23,7 @@ from bus.messages.vehicle import (
     UgvObservation,
 )
 from sim.compiling.compile import FloatArray
+from sim.server.team_radio import TeamRadio
 from sim.world import World
 
 
@@ -54,13 +56,14 @@ class Perception(ABC):
         world: World of the run.
         name: Name of the vehicle.
         episode: Number of the episode.
+        team: Messages and numbers of the teams.
     """
 
-    def __init__(self, world: World, name: str, episode: int) -> None:
+    def __init__(self, world: World, name: str, episode: int, team: TeamRadio) -> None:
         self.name, self.row = name, world.names.index(name)
         self.news: dict[int, News] = {}
         """News by tick; only ticks with news."""
-        self._world, self._episode = world, episode
+        self._world, self._episode, self._team = world, episode, team
         self._flies = bool(world.vertical[self.row]["flies"])
         self._dt, self._grounded = world.parameters.dt, world.scenario.has_ground
         self._ground: dict[int, tuple[TileReport, ...]] = {}
@@ -158,10 +161,11 @@ class Perception(ABC):
 class UavPerception(Perception):
     """Perception of a UAV: detections of the UGV that it escorts."""
 
-    def __init__(self, world: World, name: str, episode: int) -> None:
-        super().__init__(world, name, episode)
+    def __init__(self, world: World, name: str, episode: int, team: TeamRadio) -> None:
+        super().__init__(world, name, episode, team)
         self._uav = [uav.name for uav in world.uavs].index(name)
         self._buildings: dict[int, tuple[Building, ...]] = {}  # by tick of discovery
+        self._messages: dict[int, tuple[TeamMessage, ...]] = {}  # of team-mates, by tick of arrival
 
     def receive(self, tick: int) -> None:
         """Receive this tick's messages and sensor reports; call once per tick."""
@@ -172,6 +176,8 @@ class UavPerception(Perception):
         self._now = self._world.received(self._uav)
         if self._now:
             self._arrived[tick] = self._now
+        if messages := self._team.received(self.name, tick):
+            self._messages[tick] = messages
 
     def _observation(
         self,
@@ -187,14 +193,21 @@ class UavPerception(Perception):
         if self._flies:
             common["altitude"], common["climb_rate"] = own.vertical
         found = self._buildings.get(tick, ()) if known else ()
-        return UavObservation(**common, detections=arrived, buildings=found, law=news.law)
+        return UavObservation(
+            **common,
+            detections=arrived,
+            buildings=found,
+            law=news.law,
+            team=self._messages.get(tick, ()) if known else (),
+            number=self._team.number(self.name, tick),
+        )
 
 
 class UgvPerception(Perception):
     """Perception of a UGV: operators' messages, and radio messages of the UAVs that escort it."""
 
-    def __init__(self, world: World, name: str, episode: int) -> None:
-        super().__init__(world, name, episode)
+    def __init__(self, world: World, name: str, episode: int, team: TeamRadio) -> None:
+        super().__init__(world, name, episode, team)
         self._operators = world.links.row(LinkKind.OPERATOR, name)
         escorts = [uav.name for uav in world.uavs if uav.escorts == name]
         self._radios = [world.links.row(LinkKind.RADIO, uav) for uav in escorts]

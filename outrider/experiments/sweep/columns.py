@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from outrider.running.metrics import LINK, LINK_COLUMNS, MISSION, columns, total
+from outrider.running.metrics import LINK, LINK_COLUMNS, MISSION, TEAM, columns, total
 from outrider.running.summary import Summary
 
 FIRST = {
@@ -41,10 +41,8 @@ def row_of(summary: Summary, seconds: float) -> dict[str, Any]:
         summary: Summary of the run.
         seconds: Wall time of the run [s].
     """
-    row: dict[str, Any] = {
-        name: getattr(summary.mission if name in MISSION else summary, name, None)
-        for name in RESULTS
-    }
+    parts = dict.fromkeys(MISSION, summary.mission) | dict.fromkeys(TEAM, summary.team)
+    row: dict[str, Any] = {name: getattr(parts.get(name, summary), name, None) for name in RESULTS}
     return row | {
         **_link_columns(summary),
         "margin": summary.min_margin,

@@ -1,0 +1,146 @@
+"""Constants and memory of a UAV's part in its team."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.uav_inputs import ByteArray
+from bus.messages.team import BLOCK_CELLS, CoverageBlock, Role
+from bus.messages.vehicle import UavBriefing
+from bus.ticks import NO_TICK, team_ticks, ticks_within
+from sim.compiling.compile import FloatArray, IntArray
+from sim.compiling.records import RecordArray, code, record_type, records
+
+SCOUT, RELIEF, GUARD = map(code, (Role.SCOUT, Role.RELIEF, Role.GUARD))
+
+
+class TeamParameters(NamedTuple):
+    """Constants of one UAV in its team."""
+
+    row: int
+    """Row of the UAV among those of the team."""
+    guards: int
+    """g: number of guards."""
+    silence_ticks: int
+    """S: ticks after which a scout returns."""
+    period: int
+    """Ticks between two of its messages."""
+    scout_range: float
+    """Largest distance of a scout from the newest known position of the UGV [m]."""
+
+
+class Mate:
+    """What a UAV has heard of one UAV of its team; its own row is empty."""
+
+    number: int
+    """Largest number; 0: none."""
+    tick: int
+    """Tick of the newest message; NO_TICK: none."""
+    guard_tick: int
+    """Tick of the newest message as a certified guard; NO_TICK: none."""
+    x: float
+    y: float
+    """Position in the newest message [m]."""
+
+
+class OwnRole:
+    """A UAV's own part in its team."""
+
+    role: int
+    """Code of a `Role`."""
+    number: int
+    """Its number, as stored last."""
+    filtered: bool
+    """True while its commands pass the safety filter."""
+    certified: bool
+    """True if the last decision of the filter was certified."""
+    own_tick: int
+    own_x: float
+    own_y: float
+    """Newest own measurement of the UGV: tick, NO_TICK: none; position [m]."""
+    known_tick: int
+    known_x: float
+    known_y: float
+    """Newest measurement of the team, own or received."""
+
+
+class TeamMemory(NamedTuple):
+    """Memory of one UAV in its team, changed in place."""
+
+    own: RecordArray
+    """`OwnRole`. Shape (1,)."""
+    mates: RecordArray
+    """`Mate`. Shape (UAVs of the team,)."""
+    track: FloatArray
+    """Own position in recent ticks [m]: tick k in row k % depth, as tick, x, y. Shape (depth, 3)."""
+    heard: ByteArray
+    """Largest coverage received from each UAV, a byte per cell. Shape (UAVs of the team, rows, columns)."""
+    sent: ByteArray
+    """Own coverage as sent last. Shape (rows, columns)."""
+    sent_tick: IntArray
+    """Tick in which each block was sent last; -1: never. Shape (block rows, block columns)."""
+    repeats: IntArray
+    """Remaining transmissions of each block as news. Shape (block rows, block columns)."""
+    coverage: FloatArray
+    """Coverage as the law sees it: the team's, with ground nearer to a team-mate covered. Shape (rows, columns)."""
+
+
+def team_parameters(briefing: UavBriefing) -> RecordArray | None:
+    """Return the constants of a UAV in its team, shape (1,); None: it has no team."""
+    team = briefing.team
+    if team is None or team.scout_range is None:
+        return None
+    parameters = TeamParameters(
+        row=briefing.mates.index(briefing.vehicle),
+        guards=team.guards,
+        silence_ticks=ticks_within(team.silence, briefing.dt),
+        period=team_ticks(briefing.dt),
+        scout_range=float(team.scout_range),
+    )
+    return records(TeamParameters, [parameters])
+
+
+def team_memory(briefing: UavBriefing, coverage: FloatArray) -> TeamMemory | None:
+    """Return the memory of a UAV that joins its team, in the role RELIEF; None: it has no team.
+
+    Args:
+        briefing: Briefing of the UAV.
+        coverage: Its own map at the start. Shape (rows, columns).
+    """
+    if briefing.team is None:
+        return None
+    rows, columns = coverage.shape
+    blocks = (-(-rows // BLOCK_CELLS), -(-columns // BLOCK_CELLS))
+    own = np.zeros(1, record_type(OwnRole))
+    own["role"], own["own_tick"], own["known_tick"] = RELIEF, NO_TICK, NO_TICK
+    mates = np.zeros(len(briefing.mates), record_type(Mate))
+    mates["tick"] = mates["guard_tick"] = NO_TICK
+    depth = ticks_within(briefing.team.silence, briefing.dt) + 1
+    return TeamMemory(
+        own=own,
+        mates=mates,
+        track=np.full((depth, 3), float(NO_TICK)),
+        heard=np.zeros((len(mates), rows, columns), np.uint8),
+        sent=np.minimum(255.0 * coverage / briefing.desired_coverage, 255.0).astype(np.uint8),
+        sent_tick=np.full(blocks, -1, np.int64),
+        repeats=np.zeros(blocks, np.int64),
+        coverage=coverage.copy(),
+    )
+
+
+def message_blocks(memory: TeamMemory, blocks: Sequence[int]) -> tuple[CoverageBlock, ...]:
+    """Return blocks of a UAV's own coverage, as sent now; `blocks`: their indices, -1: none."""
+    across = memory.sent_tick.shape[1]
+    found = []
+    for block in blocks:
+        if block >= 0:
+            row, column = divmod(int(block), across)
+            cells = np.zeros((BLOCK_CELLS, BLOCK_CELLS), np.uint8)
+            part = memory.sent[
+                row * BLOCK_CELLS : (row + 1) * BLOCK_CELLS,
+                column * BLOCK_CELLS : (column + 1) * BLOCK_CELLS,
+            ]
+            cells[: part.shape[0], : part.shape[1]] = part
+            found.append(CoverageBlock(column, row, cells.tobytes()))
+    return tuple(found)

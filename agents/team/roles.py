@@ -1,0 +1,193 @@
+"""Roles of a team's UAVs, compiled: who guards, who scouts, and who returns.
+
+docs/explanation/proof.md proves that a team with guards does not run out of them.
+
+R1: a UAV begins to guard only in a tick that its own filter certifies, with a number above all that it has heard.
+R2: a guard's commands pass the filter. R3: a guard stops only after it has heard numbers above its own from g different
+UAVs. R4: a process that rejoins reads its stored number, and guards unless it has none.
+"""
+
+from agents.safety.memory import FilterMemory, reset_memory
+from agents.safety.trajectories import servo
+from agents.team.records import (
+    GUARD,
+    RELIEF,
+    SCOUT,
+    OwnRole,
+    TeamMemory,
+    TeamParameters,
+)
+from agents.uav_inputs import DETECTION, ReceivedMessage, TeamInputs, UavInputs
+from bus.messages.team import MOST_UAVS
+from sim.compiling.compile import compiled
+from sim.models.safety import SafetyBounds
+from sim.models.vehicles import State, norm
+
+
+@compiled
+def hear(memory: TeamMemory, message: ReceivedMessage) -> None:
+    """Record a team-mate's message, in any order of arrival."""
+    own, mate = memory.own[0], memory.mates[message.sender]
+    mate.number = max(mate.number, message.number)
+    if message.tick > mate.tick:
+        mate.tick, mate.x, mate.y = message.tick, message.x, message.y
+    if message.certified:
+        mate.guard_tick = max(mate.guard_tick, message.tick)
+    if message.measured > own.known_tick:
+        own.known_tick, own.known_x, own.known_y = message.measured, message.g_x, message.g_y
+
+
+@compiled
+def _record_own(memory: TeamMemory, inputs: UavInputs) -> bool:
+    """Record own position and own measurements; return True if one of them is new."""
+    own, track, tick = memory.own[0], memory.track, inputs.tick
+    depth, new = track.shape[0], False
+    row = track[tick % depth]
+    row[0], row[1], row[2] = tick, inputs.own.p_x, inputs.own.p_y
+    for n in range(inputs.received):
+        detection = inputs.detections[n]
+        taken = int(detection[DETECTION.taken])
+        was = track[taken % depth]
+        if taken <= own.own_tick or was[0] != taken:
+            continue
+        x, y, new = was[1] - detection[DETECTION.x], was[2] - detection[DETECTION.y], True
+        own.own_tick, own.own_x, own.own_y = taken, x, y
+        if taken > own.known_tick:
+            own.known_tick, own.known_x, own.known_y = taken, x, y
+    return new
+
+
+@compiled
+def is_released(parameters: TeamParameters, memory: TeamMemory) -> bool:
+    """Return whether a guard may stop (R3): it has heard greater numbers from g different UAVs."""
+    own, greater = memory.own[0], 0
+    for k in range(memory.mates.shape[0]):
+        if k != parameters.row and memory.mates[k].number > own.number:
+            greater += 1
+    return greater >= parameters.guards
+
+
+@compiled
+def _guards_heard(parameters: TeamParameters, memory: TeamMemory, tick: int) -> int:
+    """Return the number of team-mates that were certified guards within the silence."""
+    count = 0
+    for k in range(memory.mates.shape[0]):
+        last = memory.mates[k].guard_tick
+        if k != parameters.row and last >= 0 and tick - last <= parameters.silence_ticks:
+            count += 1
+    return count
+
+
+@compiled
+def change_role(parameters: TeamParameters, memory: TeamMemory, number: int, tick: int) -> None:
+    """Change the role by the stored number and by what has been heard.
+
+    Args:
+        parameters: Constants of the UAV.
+        memory: Memory of the UAV, changed in place.
+        number: Its number, as stored last.
+        tick: Current tick.
+    """
+    own = memory.own[0]
+    if (
+        own.number != number
+    ):  # another process stored it, or an acceptance of this one was not stored
+        own.number = number
+        own.role = GUARD if number > 0 else RELIEF
+    if own.role == GUARD and is_released(parameters, memory):
+        own.role = SCOUT
+    silent = _guards_heard(parameters, memory, tick) < parameters.guards
+    unseen = own.known_tick < 0 or tick - own.known_tick > parameters.silence_ticks
+    if own.role == SCOUT and (silent or unseen):
+        own.role = RELIEF
+    elif own.role == RELIEF and not (silent or unseen):
+        own.role = SCOUT
+
+
+@compiled
+def accept(parameters: TeamParameters, memory: TeamMemory, certified: bool) -> None:
+    """Begin to guard if the filter certifies this tick (R1); called after its decision."""
+    own = memory.own[0]
+    if own.role == RELIEF and certified:
+        largest = own.number
+        for k in range(memory.mates.shape[0]):
+            largest = max(largest, memory.mates[k].number)
+        own.number = (largest // MOST_UAVS + 1) * MOST_UAVS + MOST_UAVS - 1 - parameters.row
+        own.role = GUARD
+    own.certified = certified and own.role == GUARD
+
+
+@compiled
+def begin_tick(
+    parameters: TeamParameters,
+    memory: TeamMemory,
+    team: TeamInputs,
+    inputs: UavInputs,
+    safety: SafetyBounds,
+    filter_memory: FilterMemory,
+) -> None:
+    """Receive the messages of a tick, and choose the role and whether the filter acts.
+
+    A filter without a measurement brakes, and one with an old measurement flies there. So a UAV that returns flies bare
+    to the newest known position of the UGV; its first own detection starts a new filter.
+
+    Args:
+        parameters: Constants of the UAV.
+        memory: Memory of the UAV, changed in place.
+        team: Stored number and messages.
+        inputs: State and other messages.
+        safety: Bounds of its filter.
+        filter_memory: Memory of its filter, changed in place.
+    """
+    own = memory.own[0]
+    for n in range(team.messages.shape[0]):
+        hear(memory, team.messages[n])
+    detected = _record_own(memory, inputs)
+    change_role(parameters, memory, team.number, inputs.tick)
+    if own.role == SCOUT:
+        own.filtered = own.certified = False
+    elif not own.filtered and detected and inputs.tick - own.own_tick <= safety.max_age_ticks:
+        reset_memory(filter_memory)
+        own.filtered = True
+
+
+@compiled
+def _fly_to_ugv(
+    own: OwnRole, state: State, v_a: float, u_a: float, dt: float
+) -> tuple[float, float]:
+    if own.known_tick < 0:
+        u_x, u_y = servo(state, state.p_x, state.p_y, v_a, u_a, dt)
+    else:
+        u_x, u_y = servo(state, own.known_x, own.known_y, v_a, u_a, dt)
+    return u_x, u_y
+
+
+@compiled
+def control_of_role(
+    parameters: TeamParameters,
+    memory: TeamMemory,
+    state: State,
+    bounds: SafetyBounds,
+    nominal: tuple[float, float],
+) -> tuple[float, float]:
+    """Return the acceleration of a UAV in its role, before its safety filter [m/s²].
+
+    A scout near the end of its leash, and a UAV that returns, fly to the newest known position of the UGV.
+
+    Args:
+        parameters, memory: Constants and memory of the UAV.
+        state: Its state.
+        bounds: Bounds of its filter.
+        nominal: Nominal acceleration of the law, the operator or the policy [m/s²].
+    """
+    own, v_a, u_a, dt = memory.own[0], bounds.v_a, bounds.u_a, bounds.dt
+    if own.role == GUARD and own.filtered:
+        return nominal
+    if own.role == SCOUT and own.known_tick >= 0:
+        x, y = state.p_x - own.known_x, state.p_y - own.known_y
+        distance = norm(x, y)
+        away = max(0.0, (x * state.v_x + y * state.v_y) / distance) if distance > 0.0 else 0.0
+        stop = away * away / (2.0 * u_a) + (v_a + 0.5 * u_a * dt) * dt
+        if distance + stop < parameters.scout_range:
+            return nominal
+    return _fly_to_ugv(own, state, v_a, u_a, dt)

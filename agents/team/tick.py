@@ -1,0 +1,64 @@
+"""A UAV's part in its team in a tick, compiled. A part that is None is not compiled."""
+
+from typing import Any
+
+from agents.safety.memory import FilterMemory
+from agents.team.coverage import hear_blocks, share_coverage
+from agents.team.records import SCOUT, TeamMemory
+from agents.team.roles import begin_tick
+from agents.uav_inputs import UavInputs
+from agents.uav_parameters import UavParameters
+from sim.compiling.compile import FloatArray, compiled
+from sim.compiling.records import RecordArray
+
+
+@compiled
+def perceive_team(
+    parameters: RecordArray | None,
+    memory: TeamMemory | None,
+    inputs: UavInputs,
+    safety: RecordArray,
+    filter_memory: FilterMemory,
+    fixed: UavParameters,
+    uav: UavParameters,
+    coverage: FloatArray,
+    filtered: bool,
+) -> bool:
+    """Receive the messages of a tick; return whether the UAV's commands pass its safety filter.
+
+    Args:
+        parameters: `TeamParameters`; None: there are no teams, and the result is `filtered`. Shape (1,).
+        memory: Memory of the UAV in its team, changed in place.
+        inputs: State and messages.
+        safety: `SafetyBounds` of its filter. Shape (1,).
+        filter_memory: Memory of its filter, changed in place.
+        fixed: Constants of the UAV.
+        uav: The same as the law reads them: a scout's `max_distance` and `switching_radius` are changed.
+        coverage: Its own map. Shape (rows, columns).
+        filtered: Result without a team.
+    """
+    if parameters is None:
+        return filtered
+    one, own_memory, team = parameters[0], _any(memory), _any(inputs.team)
+    begin_tick(one, own_memory, team, inputs, safety[0], filter_memory)
+    for n in range(team.messages.shape[0]):
+        hear_blocks(own_memory, team.messages[n])
+    if inputs.tick % one.period == 0:
+        share_coverage(
+            one, own_memory, coverage, inputs.own, inputs.tick, uav.cell, uav.desired_coverage
+        )
+    own, changing = own_memory.own[0], _any(uav)
+    changing.max_distance = one.scout_range if own.role == SCOUT else fixed.max_distance
+    changing.switching_radius = one.scout_range if own.role == SCOUT else fixed.switching_radius
+    return bool(own.filtered)
+
+
+@compiled
+def _any(value: Any) -> Any:  # noqa: ANN401 - numba infers the type
+    return value
+
+
+@compiled
+def law_coverage(memory: TeamMemory | None, coverage: FloatArray) -> FloatArray:
+    """Return the map that the law sees: its own, or the team's in which ground nearer to a team-mate is covered."""
+    return coverage if memory is None else memory.coverage

@@ -1,0 +1,114 @@
+"""Teams of a scenario: members, leash of the scouts, and the checks of `[team]`."""
+
+import math
+from collections.abc import Iterator
+
+import msgspec
+
+from bus.messages.base import or_infinite
+from bus.messages.team import MOST_UAVS, Team
+from bus.numbers import at_most, exact
+from sim.input.faults import Fault
+from sim.scenario.safety import safety_parameters
+from sim.scenario.types import Scenario, Uav
+
+
+def mates_of(scenario: Scenario, uav: str) -> tuple[str, ...]:
+    """Return all UAVs of a UAV's team in name order, itself included; empty: it has no team."""
+    if scenario.team is None:
+        return ()
+    escorts = {one.name: one.escorts for one in scenario.uav}
+    return tuple(sorted(name for name in escorts if escorts[name] == escorts[uav]))
+
+
+def teams_of(scenario: Scenario) -> tuple[tuple[str, ...], ...]:
+    """Return the teams, by their UAVs in name order; empty without `[team]`."""
+    return tuple(
+        dict.fromkeys(mates for uav in scenario.uav if (mates := mates_of(scenario, uav.name)))
+    )
+
+
+def leash(
+    team: Team, uav: Uav, v_g: float, r_v: float, error: float, tracking: float, dt: float
+) -> float:
+    r"""Return the largest distance from which a scout returns while the UGV is still within r_v [m].
+
+    $$ L = v_a \left[ (r_v - \varepsilon - 2w)/v_g - S - 5 v_a/(2 u_a) - 2\,dt \right] $$
+
+    The UGV was measured at most S before the scout turns back; turn, flight and stop take $L/v_a + 5 v_a/(2 u_a) +
+    2\,dt$.
+
+    Args:
+        team: Settings with S.
+        uav: The scout.
+        v_g: Maximum speed of the UGV [m/s].
+        r_v: Visibility radius [m].
+        error: Largest measurement error epsilon [m].
+        tracking: Largest tracking error w [m].
+        dt: Length of a tick [s].
+    """
+    v_a, u_a = uav.max_speed, uav.max_acceleration
+    time = (r_v - error - 2.0 * tracking) / v_g - team.silence - 5.0 * v_a / (2.0 * u_a) - 2.0 * dt
+    return v_a * time if math.isfinite(v_a) else -math.inf
+
+
+def _leash_of(scenario: Scenario, team: Team, uav: Uav) -> float:
+    ugv = next(one for one in scenario.ugv if one.name == uav.escorts)
+    safety = safety_parameters(scenario, uav.name)
+    error, tracking = map(or_infinite, (safety.max_measurement_error, safety.max_tracking_error))
+    r_v = scenario.visibility.radius
+    return leash(team, uav, ugv.max_speed, r_v, error, tracking, scenario.dt)
+
+
+def briefed_team(scenario: Scenario, uav: Uav) -> Team | None:
+    """Return the settings of a UAV's team, with a definite `scout_range`; None: it has no team."""
+    team = scenario.team
+    if team is None or team.scout_range is not None:
+        return team
+    return msgspec.structs.replace(team, scout_range=_leash_of(scenario, team, uav))
+
+
+def teams_are_possible(scenario: Scenario) -> Iterator[Fault]:
+    """Check the number of guards and of UAVs, and that scouts return in time."""
+    team = scenario.team
+    if team is None:
+        return
+    for mates in teams_of(scenario):
+        count, names = len(mates), ", ".join(mates)
+        if count > MOST_UAVS:
+            yield Fault("uav", count, f"too many for one team ({names})", f"up to {MOST_UAVS}")
+        if team.guards > count:
+            wrong = f"more than the UAVs of the team: {names}"
+            yield Fault("team.guards", team.guards, wrong, f"up to {count}")
+    r_v = scenario.visibility.radius
+    for k, uav in enumerate(scenario.uav):
+        if uav.initial_altitude is not None:
+            wrong = "a team flies in the plane, at separate altitudes that are not simulated"
+            yield Fault(f"uav.{k}.initial_altitude", uav.initial_altitude, wrong, "none")
+        longest = _leash_of(scenario, team, uav)
+        if not longest >= r_v:
+            yield _no_leash(scenario, team, f"uav.{k}", uav)
+        if team.scout_range is None:
+            continue
+        if team.scout_range < r_v:
+            wrong, allowed = "below r_v, where a guard flies", f"from {exact(r_v)} m"
+            yield Fault("team.scout_range", team.scout_range, wrong, allowed)
+        if team.scout_range > longest:
+            wrong = f"beyond the leash: {uav.name} might return too late to find the UGV within r_v"
+            yield Fault(
+                "team.scout_range", team.scout_range, wrong, f"up to {at_most(longest, 4)} m"
+            )
+
+
+def _no_leash(scenario: Scenario, team: Team, path: str, uav: Uav) -> Fault:
+    """Return the fault of a UAV that cannot even be a scout at r_v."""
+    instant = msgspec.structs.replace(team, silence=0.0)
+    spare = _leash_of(scenario, instant, uav) - scenario.visibility.radius
+    if spare > 0.0:
+        wrong = f"too long: {uav.name} might return too late from r_v to find the UGV"
+        return Fault(
+            "team.silence", team.silence, wrong, f"up to {at_most(spare / uav.max_speed, 4)} s"
+        )
+    wrong = "a scout might return too late from r_v to find the UGV, whatever `silence` is"
+    allowed = "a higher speed, a slower UGV, a bounded and smaller measurement error, or no [team]"
+    return Fault(f"{path}.max_speed", uav.max_speed, wrong, allowed)
