@@ -14,7 +14,7 @@ SHIPPED = tuple(
     words("""
 escort circle circle-too-fast courtyard figure-1-bounded figure-1-high-gain figure-1-low-gain
 figure-3-linear figure-3-logarithmic figure-3-switching minefield rescue rescue-town rubble scenario-1
-scenario-2 town
+scenario-2 scouts town
 """)
 )
 SMALL = "[[uav]]\nposition = [6.0, 21.0]\n[[ugv]]\nposition = [6.0, 20.0]\ngoals = [[34.0, 20.0]]\n"

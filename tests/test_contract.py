@@ -51,7 +51,9 @@ def test_uav_receives_exactly_these_fields() -> None:
         initial_altitude min_altitude max_altitude max_climb_rate max_vertical_acceleration
         vertical_clearance climb_rate camera half_angle reference_altitude
         buildings polygon marker_height guaranteed_clearance max_building_height
-        vehicle dt visibility_radius law name parameters key past more"""
+        vehicle dt visibility_radius law name parameters key past more
+        team mates guards silence scout_range
+        sender number role certified measured measurement blocks cells"""
     assert fields_of(TO_UAV) == {*words(known)}
 
 

@@ -199,6 +199,9 @@ circle_is_within_sight | law.name=circle & law.parameters.circle_radius=4.75
 | law.parameters.circle_radius = 4.75 | less than r_v = 4.75 m
 circle_is_within_sight | law.name=circle & uav.0.max_acceleration=inf
 | law.parameters.circle_radius | less than r_v = 4.75 m
+teams_are_possible | team.guards=2 | team.guards = 2 | up to 1
+teams_are_possible | team.scout_range=4 | team.scout_range = 4.0 | from 4.75 m
+teams_are_possible | team.scout_range=9.2 | team.scout_range = 9.2 | up to 9.09 m
 """)
 ]
 
