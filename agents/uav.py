@@ -215,6 +215,8 @@ class UavPilot:
         """Mark the plans sent so far as unchecked: the last commands may not have been sent."""
         if self.filter is not None:
             self.filter.invalidate_plans()
+        if self.team is not None:
+            self.team.forget_commands()
 
     def perceive(self, observation: UavObservation) -> None:
         """Update map, estimator and safety filter from an observation that is too late to answer."""

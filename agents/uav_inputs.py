@@ -6,7 +6,8 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from bus.messages.team import BLOCK_CELLS, MOST_COVERAGE_BLOCKS
+from bus.messages.base import or_infinite
+from bus.messages.team import BLOCK_CELLS, MOST_COVERAGE_BLOCKS, Role
 from bus.messages.vehicle import UavBriefing, UavObservation
 from bus.ticks import NO_TICK, DetectionRow, detection_array
 from sim.compiling.compile import FloatArray, IntArray
@@ -16,6 +17,7 @@ from sim.models.trajectories import NO_TRAJECTORY
 from sim.models.vehicles import State
 
 ByteArray = npt.NDArray[np.uint8]
+_READY = {Role.SCOUT: 1, Role.RELIEF: 2}
 _NO_DETECTIONS: FloatArray = np.zeros((0, len(DetectionRow._fields)))
 DETECTION: Any = DetectionRow._make(range(3))
 """Columns of an array of detections."""
@@ -45,6 +47,12 @@ class ReceivedMessage:
     tick: int
     number: int
     certified: bool
+    ready: int
+    """2: its UAV returns to the UGV already; 1: it is a scout, and can be asked for relief; 0: neither."""
+    charge: float
+    """Flight time that its UAV has left [s]; infinite: unlimited."""
+    asks: int
+    """Row of the UAV that it asks for relief; -1: none."""
     x: float
     y: float
     """Position of its UAV [m]."""
@@ -62,6 +70,8 @@ class TeamInputs(NamedTuple):
     """Stored number of a UAV, and its team-mates' messages of a tick."""
 
     number: int
+    charge: float
+    """Flight time left [s]; infinite: unlimited."""
     messages: RecordArray
     """`ReceivedMessage`. Shape (messages,)."""
 
@@ -134,6 +144,8 @@ def team_inputs(briefing: UavBriefing, observation: UavObservation) -> TeamInput
     for row, message in zip(rows, messages, strict=True):
         row["sender"], row["tick"] = briefing.mates.index(message.sender), message.tick
         row["number"], row["certified"] = message.number, message.certified
+        row["ready"], row["charge"] = _READY.get(message.role, 0), or_infinite(message.charge)
+        row["asks"] = -1 if message.asks is None else briefing.mates.index(message.asks)
         row["x"], row["y"] = message.position
         row["measured"] = NO_TICK if message.measured is None else message.measured
         row["g_x"], row["g_y"] = message.measurement
@@ -141,4 +153,4 @@ def team_inputs(briefing: UavBriefing, observation: UavObservation) -> TeamInput
         for k, block in enumerate(message.blocks):
             row["blocks"][k] = block.row * across + block.column
             row["cells"][k] = np.frombuffer(block.cells, np.uint8)
-    return TeamInputs(observation.number, rows)
+    return TeamInputs(observation.number, or_infinite(observation.charge), rows)

@@ -36,7 +36,8 @@ def valid(kind: Any, rng: random.Random) -> Any:
         case kinds.IntType():
             low = -(2**70) if kind.ge is None else kind.ge
             high = 2**70 if kind.le is None else kind.le
-            return rng.choice([low, high, rng.randint(low, high), rng.randint(low, low + 1000)])
+            near = rng.randint(low, min(high, low + 1000))
+            return rng.choice([low, high, rng.randint(low, high), near])
         case kinds.StrType(pattern=None):
             return "".join(rng.choices('aZ0 _/"\\\n\0∞𝄞', k=rng.choice([0, 1, 8, kind.max_length])))
         case kinds.StrType(pattern=pattern) if str(pattern).startswith("^[0-9a-f]{32}$"):
@@ -61,7 +62,8 @@ def valid(kind: Any, rng: random.Random) -> Any:
         case kinds.EnumType():
             return rng.choice(list(kind.cls)).value
         case kinds.BytesType():
-            return rng.randbytes(rng.randrange(30))
+            low, high = kind.min_length or 0, kind.max_length
+            return rng.randbytes(rng.randrange(low, 1 + (low + 29 if high is None else high)))
         case kinds.BoolType():
             return rng.random() < 0.5
         case kinds.NoneType():

@@ -13,7 +13,7 @@ from tabular import words
 SHIPPED = tuple(
     words("""
 escort circle circle-too-fast courtyard figure-1-bounded figure-1-high-gain figure-1-low-gain
-figure-3-linear figure-3-logarithmic figure-3-switching minefield rescue rescue-town rubble scenario-1
+figure-3-linear figure-3-logarithmic figure-3-switching minefield relay rescue rescue-town rubble scenario-1
 scenario-2 scouts town
 """)
 )

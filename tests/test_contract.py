@@ -53,7 +53,8 @@ def test_uav_receives_exactly_these_fields() -> None:
         buildings polygon marker_height guaranteed_clearance max_building_height
         vehicle dt visibility_radius law name parameters key past more
         team mates guards silence scout_range
-        sender number role certified measured measurement blocks cells"""
+        sender number role certified measured measurement blocks cells
+        endurance charge_time base charge asks"""
     assert fields_of(TO_UAV) == {*words(known)}
 
 
@@ -103,7 +104,7 @@ def test_planned_route_reaches_the_simulator_and_no_vehicle() -> None:
 
 
 MODELS = """
-    altitude buildings camera field grid ground hazards polygons randomness safety sensor sensors
+    altitude buildings camera endurance field grid ground hazards polygons randomness safety sensor sensors
     sensors.hill sensors.plateau shadows trajectories vehicles"""
 ON_BOARD = {
     *(f"sim.models.{name}" for name in words(MODELS)),

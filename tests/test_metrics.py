@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from bus.messages.links import LinkStatus
-from bus.messages.telemetry import MissionResult, VehicleStatus
+from bus.messages.telemetry import MissionResult, TeamStatus, VehicleStatus
 from outrider.cli.summary_table import print_summary
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.experiments.sweep.columns import RESULTS, row_of
 from outrider.running.flying import fly
-from outrider.running.metrics import LINK, MISSION, PROCESS, SUMMARY, UAV, total
+from outrider.running.metrics import LINK, MISSION, PROCESS, SUMMARY, TEAM, UAV, total
 from outrider.running.summary import Summary
 from outrider_falsify.description import describe
 from sim.scenario.checks import scenario_warnings
@@ -44,11 +44,12 @@ def _numbers(struct: type[msgspec.Struct]) -> set[str]:
 
 
 def test_summary_numbers_and_metric_rows_correspond() -> None:
-    of_a_run = set(SUMMARY) - set(MISSION)
+    of_a_run = set(SUMMARY) - set(MISSION) - set(TEAM)
     assert _numbers(Summary) - NO_METRICS == of_a_run - {"trajectory_sha256"}
     assert of_a_run <= set(Summary.__struct_fields__)
     for table, struct, other in (
         (MISSION, MissionResult, {"guarantees"}),
+        (TEAM, TeamStatus, {"numbers", "charges"}),
         (LINK, LinkStatus, {"degraded", "settings"}),
         (PROCESS, VehicleStatus, {"present", "last_fault"}),
     ):

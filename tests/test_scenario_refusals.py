@@ -202,6 +202,12 @@ circle_is_within_sight | law.name=circle & uav.0.max_acceleration=inf
 teams_are_possible | team.guards=2 | team.guards = 2 | up to 1
 teams_are_possible | team.scout_range=4 | team.scout_range = 4.0 | from 4.75 m
 teams_are_possible | team.scout_range=9.2 | team.scout_range = 9.2 | up to 9.09 m
+endurances_suffice | uav.0.endurance=300 | uav.0.endurance = 300.0 | with [team]
+endurances_suffice | team.guards=1 & uav.0.endurance=300 | uav.0.base | [x, y] in m
+endurances_suffice | team.guards=1 & uav.0.endurance=300 & uav.0.base=[50,3]
+| uav.0.base = [50.0, 3.0] | [0, 40] x [0, 40] m
+endurances_suffice | team.guards=1 & uav.0.endurance=150 & uav.0.base=[20,20]
+| uav.0.endurance = 150.0 | above 224.6 s
 """)
 ]
 

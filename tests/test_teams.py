@@ -28,7 +28,7 @@ from processes import await_status, child_of, flying, observing
 from refusals import refusal
 from sim.engine.briefing import briefing
 from sim.engine.team_monitor import record_team, team_counters, team_reports
-from sim.scenario.checks import check_scenario
+from sim.scenario.checks import check_scenario, scenario_warnings
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
@@ -276,7 +276,7 @@ def test_roles_follow_what_is_heard() -> None:
     assert role_after(observed(message(99))) is Role.SCOUT
     assert role_after(observed(message(99, certified=False))) is Role.RELIEF
     assert role_after(observed(message(99)), observed(tick=139)) is Role.SCOUT
-    assert role_after(observed(message(99)), observed(tick=140)) is Role.RELIEF
+    assert role_after(observed(message(99)), observed(tick=141)) is Role.RELIEF
     # stored numbers: a process that rejoins guards, until it hears of a greater one
     assert role_after(observed(number=30)) is Role.GUARD
     assert role_after(observed(message(20, number=29), number=30)) is Role.GUARD
@@ -370,9 +370,8 @@ def test_other_teams_and_ugvs_receive_nothing() -> None:
 
 
 def test_a_message_has_no_field_for_what_the_ugv_knows() -> None:
-    known = (
-        "sender tick number role certified position measured measurement blocks column row cells"
-    )
+    known = """sender tick number role certified position measured measurement charge asks
+        blocks column row cells"""
     assert fields_within(TeamMessage) == {*known.split()}
 
 
@@ -469,3 +468,33 @@ def test_summary_of_a_run_without_a_team_has_none() -> None:
     flight, summary = fly(scenario, 1)
     assert summary.team is None
     assert summarize(flight, seconds=1.0).team is None
+
+
+def test_a_watch_has_no_gap_where_check_says_so() -> None:
+    """Three UAVs relieve one another; a scout that waits at its base is asked in time."""
+    scenario = load_scenario("relay", overrides={"duration": 600.0, "area.cell": 0.5})
+    assert not scenario_warnings(scenario)
+    flight, summary = fly(scenario, 7)
+    status = assert_guaranteed(flight)
+    assert (status.team_certified_share, status.left_without_relief) == (1.0, 0)
+    assert status.handovers >= 2
+    assert status.extra_guard_share < 0.01
+    assert all(charge > 0.0 for charge in status.charges.values())
+    assert summary.visibility_violations == 0
+
+
+def test_a_guard_without_relief_leaves_and_is_excused() -> None:
+    changes = {"duration": 400.0, "area.cell": 0.5, "links.team": {}, "links.team.loss": 1.0}
+    flight = fly(load_scenario("relay", overrides=changes), 7)[0]
+    status = assert_guaranteed(flight)
+    assert status.left_without_relief >= 1
+    assert all(charge > 0.0 for charge in status.charges.values())
+
+
+def test_check_says_what_a_watch_needs() -> None:
+    slow = load_scenario("relay", overrides={"uav.*.charge_time": 300.0})
+    (line,) = scenario_warnings(slow)
+    assert line.endswith("needed: 4 UAVs or an endurance of 357.61 s or a charge time of 184.785 s")
+    for changes in ({"uav.*.endurance": 357.61}, {"uav.*.charge_time": 184.78}):
+        cured = {"uav.*.charge_time": 300.0} | changes
+        assert not scenario_warnings(load_scenario("relay", overrides=cured))

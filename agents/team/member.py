@@ -6,7 +6,7 @@ from agents.team.coverage import choose_blocks
 from agents.team.records import TeamMemory, message_blocks
 from agents.team.roles import accept, control_of_role
 from agents.uav_inputs import UavInputs
-from bus.messages.base import Vector
+from bus.messages.base import Vector, or_none
 from bus.messages.decision import FilterDecision
 from bus.messages.team import MOST_COVERAGE_BLOCKS, Role, TeamMessage
 from bus.messages.vehicle import UavBriefing, UavObservation
@@ -50,7 +50,7 @@ class TeamMember:
         memory: TeamMemory,
         safety: RecordArray,
     ) -> None:
-        self._name, self._alone = briefing.vehicle, len(briefing.mates) < 2
+        self._name, self._mates = briefing.vehicle, briefing.mates
         self._desired = briefing.desired_coverage
         self._parameters, self._memory, self._safety = parameters, memory, safety
         self._row, self._period = int(parameters[0]["row"]), int(parameters[0]["period"])
@@ -78,6 +78,10 @@ class TeamMember:
         )
         return u_x, u_y
 
+    def forget_commands(self) -> None:
+        """Return to the stored number at the next tick: a greater one may not have been sent."""
+        self._memory.own[0]["unsent"] = True
+
     def accept(self, decision: FilterDecision | None) -> None:
         """Begin to guard if the safety filter has certified this tick."""
         certified = decision is not None and decision.certified
@@ -91,7 +95,7 @@ class TeamMember:
             coverage: Its own map. Shape (rows, columns).
         """
         tick = observation.tick
-        if self._alone or (tick + self._row) % self._period:
+        if len(self._mates) < 2 or (tick + self._row) % self._period:
             return None
         own = self._memory.own[0]
         measured = int(own["own_tick"])
@@ -105,5 +109,7 @@ class TeamMember:
             position=observation.position,
             measured=None if measured == NO_TICK else measured,
             measurement=(float(own["own_x"]), float(own["own_y"])),
+            charge=or_none(float(own["charge"])),
+            asks=None if own["asks"] < 0 else self._mates[int(own["asks"])],
             blocks=message_blocks(self._memory, self._blocks.tolist()),
         )

@@ -1,5 +1,6 @@
 """Constants and memory of a UAV's part in its team."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -11,8 +12,9 @@ from bus.messages.vehicle import UavBriefing
 from bus.ticks import NO_TICK, team_ticks, ticks_within
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray, code, record_type, records
+from sim.models.endurance import CERTIFYING, EnduranceParameters
 
-SCOUT, RELIEF, GUARD = map(code, (Role.SCOUT, Role.RELIEF, Role.GUARD))
+SCOUT, RELIEF, GUARD, AWAY = map(code, Role)
 
 
 class TeamParameters(NamedTuple):
@@ -28,6 +30,15 @@ class TeamParameters(NamedTuple):
     """Ticks between two of its messages."""
     scout_range: float
     """Largest distance of a scout from the newest known position of the UGV [m]."""
+    v_a: float
+    u_a: float
+    """Bounds of the UAV [m/s], [m/s²]."""
+    v_g: float
+    """Maximum speed of the UGV [m/s]."""
+    relief_time: float
+    """Time from a request for relief to the acceptance, apart from the flight [s]."""
+    endurance: EnduranceParameters
+    """Its endurance."""
 
 
 class Mate:
@@ -39,6 +50,10 @@ class Mate:
     """Tick of the newest message; NO_TICK: none."""
     guard_tick: int
     """Tick of the newest message as a certified guard; NO_TICK: none."""
+    ready: int
+    """2: it returns to the UGV already; 1: it is a scout, and can be asked for relief; 0: neither."""
+    charge: float
+    """Flight time that it had left [s]."""
     x: float
     y: float
     """Position in the newest message [m]."""
@@ -50,11 +65,29 @@ class OwnRole:
     role: int
     """Code of a `Role`."""
     number: int
-    """Its number, as stored last."""
+    """Its number; it is stored when a command with it arrives."""
+    unsent: bool
+    """True if its last commands may not have been sent."""
     filtered: bool
     """True while its commands pass the safety filter."""
     certified: bool
     """True if the last decision of the filter was certified."""
+    since: int
+    """First tick; NO_TICK before it."""
+    asked_tick: int
+    """Tick of the newest request to relieve a guard; NO_TICK: none."""
+    called: bool
+    """True while it relieves a guard that has asked it."""
+    asks: int
+    """Row of the team-mate that it asks for relief; -1: none."""
+    charge: float
+    """Flight time left [s]; infinite: unlimited."""
+    spare: float
+    """Of this, what remains after the flight to the base and the reserve [s]."""
+    lead: float
+    """Time that a relief needs to reach the UGV and be certified [s]."""
+    home: bool
+    """True if it is at rest at its base."""
     own_tick: int
     own_x: float
     own_y: float
@@ -91,18 +124,26 @@ def team_parameters(briefing: UavBriefing) -> RecordArray | None:
     team = briefing.team
     if team is None or team.scout_range is None:
         return None
+    given, (v_a, u_a) = briefing.endurance, briefing.limits.numbers
     parameters = TeamParameters(
         row=briefing.mates.index(briefing.vehicle),
         guards=team.guards,
         silence_ticks=ticks_within(team.silence, briefing.dt),
         period=team_ticks(briefing.dt),
         scout_range=float(team.scout_range),
+        v_a=v_a,
+        u_a=u_a,
+        v_g=briefing.target_limits.numbers[0],
+        relief_time=CERTIFYING + 2.0 * team.silence,
+        endurance=EnduranceParameters(math.inf, 1.0, 0.0, 0.0)
+        if given is None
+        else EnduranceParameters(given.endurance, given.charge_time, *given.base),
     )
     return records(TeamParameters, [parameters])
 
 
 def team_memory(briefing: UavBriefing, coverage: FloatArray) -> TeamMemory | None:
-    """Return the memory of a UAV that joins its team, in the role RELIEF; None: it has no team.
+    """Return the memory of a UAV that joins its team; None: it has no team.
 
     Args:
         briefing: Briefing of the UAV.
@@ -113,7 +154,9 @@ def team_memory(briefing: UavBriefing, coverage: FloatArray) -> TeamMemory | Non
     rows, columns = coverage.shape
     blocks = (-(-rows // BLOCK_CELLS), -(-columns // BLOCK_CELLS))
     own = np.zeros(1, record_type(OwnRole))
-    own["role"], own["own_tick"], own["known_tick"] = RELIEF, NO_TICK, NO_TICK
+    own["role"], own["asks"] = RELIEF, -1
+    for name in ("since", "asked_tick", "own_tick", "known_tick"):
+        own[name] = NO_TICK
     mates = np.zeros(len(briefing.mates), record_type(Mate))
     mates["tick"] = mates["guard_tick"] = NO_TICK
     depth = ticks_within(briefing.team.silence, briefing.dt) + 1

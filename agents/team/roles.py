@@ -7,9 +7,12 @@ R2: a guard's commands pass the filter. R3: a guard stops only after it has hear
 UAVs. R4: a process that rejoins reads its stored number, and guards unless it has none.
 """
 
+import math
+
 from agents.safety.memory import FilterMemory, reset_memory
 from agents.safety.trajectories import servo
 from agents.team.records import (
+    AWAY,
     GUARD,
     RELIEF,
     SCOUT,
@@ -20,19 +23,23 @@ from agents.team.records import (
 from agents.uav_inputs import DETECTION, ReceivedMessage, TeamInputs, UavInputs
 from bus.messages.team import MOST_UAVS
 from sim.compiling.compile import compiled
+from sim.models.endurance import RESERVE, is_at_base, reach_time, return_time
 from sim.models.safety import SafetyBounds
 from sim.models.vehicles import State, norm
 
 
 @compiled
-def hear(memory: TeamMemory, message: ReceivedMessage) -> None:
-    """Record a team-mate's message, in any order of arrival."""
+def hear(memory: TeamMemory, row: int, message: ReceivedMessage) -> None:
+    """Record a team-mate's message, in any order of arrival; `row`: row of this UAV in the team."""
     own, mate = memory.own[0], memory.mates[message.sender]
     mate.number = max(mate.number, message.number)
     if message.tick > mate.tick:
         mate.tick, mate.x, mate.y = message.tick, message.x, message.y
+        mate.ready, mate.charge = message.ready, message.charge
     if message.certified:
         mate.guard_tick = max(mate.guard_tick, message.tick)
+    if message.asks == row:
+        own.asked_tick = max(own.asked_tick, message.tick)
     if message.measured > own.known_tick:
         own.known_tick, own.known_x, own.known_y = message.measured, message.g_x, message.g_y
 
@@ -89,19 +96,65 @@ def change_role(parameters: TeamParameters, memory: TeamMemory, number: int, tic
         tick: Current tick.
     """
     own = memory.own[0]
-    if (
-        own.number != number
-    ):  # another process stored it, or an acceptance of this one was not stored
+    if number > own.number:  # another process has stored it
+        own.number, own.role = number, GUARD
+    elif (
+        own.unsent and number < own.number
+    ):  # this acceptance may never be stored: the filter goes on
         own.number = number
-        own.role = GUARD if number > 0 else RELIEF
+        guards = number > 0 and not is_released(parameters, memory)
+        own.role = GUARD if guards else RELIEF
+    own.unsent = False
+    if own.since < 0:
+        own.since = tick
+        if own.home and number == 0:
+            own.role = SCOUT
+    silence = parameters.silence_ticks
+    alone = _guards_heard(parameters, memory, tick) < parameters.guards
+    alone = alone or own.known_tick < 0 or tick - own.known_tick > silence
+    asked = own.asked_tick >= 0 and tick - own.asked_tick <= silence
+    own.called = own.role in (SCOUT, RELIEF) and (asked or (own.called and own.role == RELIEF))
     if own.role == GUARD and is_released(parameters, memory):
-        own.role = SCOUT
-    silent = _guards_heard(parameters, memory, tick) < parameters.guards
-    unseen = own.known_tick < 0 or tick - own.known_tick > parameters.silence_ticks
-    if own.role == SCOUT and (silent or unseen):
+        own.role = AWAY if math.isfinite(own.charge) else SCOUT
+    elif own.role == SCOUT and (own.called or (alone and tick - own.since > silence)):
         own.role = RELIEF
-    elif own.role == RELIEF and not (silent or unseen):
+    elif own.role == RELIEF and not alone and not own.called:  # later calls may be lost
+        own.role = AWAY if math.isfinite(own.charge) else SCOUT
+    if own.role == AWAY and own.home and own.charge >= parameters.endurance.endurance:
         own.role = SCOUT
+    elif own.role in (RELIEF, GUARD) and own.spare <= 0.0:
+        own.role = AWAY
+
+
+@compiled
+def _ask(parameters: TeamParameters, memory: TeamMemory) -> None:
+    """Ask a team-mate for relief, if this guard's charge lasts only for that.
+
+    One that is on its way already is asked again; else the scout with the largest charge.
+    """
+    own, most, best = memory.own[0], 0, 0.0
+    own.asks = -1
+    if own.role == GUARD and own.spare <= own.lead:
+        for k in range(memory.mates.shape[0]):
+            mate = memory.mates[k]
+            better = mate.ready > most or (mate.ready == most and mate.charge > best)
+            if k != parameters.row and mate.ready > 0 and better:
+                own.asks, most, best = k, mate.ready, mate.charge
+
+
+@compiled
+def _measure_charge(
+    parameters: TeamParameters, memory: TeamMemory, charge: float, state: State
+) -> None:
+    """Record the charge, and what of it the way back and a relief need."""
+    own, one = memory.own[0], parameters.endurance
+    own.charge, own.spare, own.home = charge, math.inf, False
+    if math.isfinite(charge):
+        far = norm(state.p_x - one.base_x, state.p_y - one.base_y)
+        own.home = is_at_base(one, state)
+        own.spare = charge - return_time(far, parameters.v_a, parameters.u_a) - RESERVE
+        out = reach_time(far, parameters.v_a, parameters.u_a, parameters.v_g)
+        own.lead = out + parameters.relief_time
 
 
 @compiled
@@ -141,10 +194,12 @@ def begin_tick(
     """
     own = memory.own[0]
     for n in range(team.messages.shape[0]):
-        hear(memory, team.messages[n])
+        hear(memory, parameters.row, team.messages[n])
     detected = _record_own(memory, inputs)
+    _measure_charge(parameters, memory, team.charge, inputs.own)
     change_role(parameters, memory, team.number, inputs.tick)
-    if own.role == SCOUT:
+    _ask(parameters, memory)
+    if own.role in (SCOUT, AWAY):
         own.filtered = own.certified = False
     elif not own.filtered and detected and inputs.tick - own.own_tick <= safety.max_age_ticks:
         reset_memory(filter_memory)
@@ -172,7 +227,8 @@ def control_of_role(
 ) -> tuple[float, float]:
     """Return the acceleration of a UAV in its role, before its safety filter [m/s²].
 
-    A scout near the end of its leash, and a UAV that returns, fly to the newest known position of the UGV.
+    A UAV with an endurance flies to its base and waits there, unless it guards or relieves. A scout near the end of its
+    leash, and a UAV that returns, fly to the newest known position of the UGV.
 
     Args:
         parameters, memory: Constants and memory of the UAV.
@@ -183,6 +239,10 @@ def control_of_role(
     own, v_a, u_a, dt = memory.own[0], bounds.v_a, bounds.u_a, bounds.dt
     if own.role == GUARD and own.filtered:
         return nominal
+    if own.role == AWAY or (own.role == SCOUT and math.isfinite(own.charge)):
+        x, y = parameters.endurance.base_x, parameters.endurance.base_y
+        u_x, u_y = servo(state, x, y, v_a, u_a, dt)
+        return u_x, u_y
     if own.role == SCOUT and own.known_tick >= 0:
         x, y = state.p_x - own.known_x, state.p_y - own.known_y
         distance = norm(x, y)

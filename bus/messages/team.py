@@ -10,7 +10,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from bus.messages.base import Message, Name, Place, Positive, Tick, Vector
+from bus.messages.base import Message, Name, NonNegative, Place, Positive, Tick, Vector
 
 MOST_UAVS = 16
 """Maximum number of UAVs in a team."""
@@ -24,17 +24,21 @@ class Role(StrEnum):
     """Role of a UAV in its team."""
 
     SCOUT = "SCOUT"
-    """It flies its law within `scout_range` of the UGV, without the safety filter."""
+    """It flies its law within `scout_range` of the UGV, without the safety filter; with an endurance, it waits at its
+    base.
+    """
     RELIEF = "RELIEF"
     """It flies to the UGV, to become a guard."""
     GUARD = "GUARD"
     """It keeps the UGV in sight: its commands pass the safety filter."""
+    AWAY = "AWAY"
+    """It flies to its base, or charges there."""
 
 
 class Team(Message, frozen=True, kw_only=True):
     """Cooperation of the UAVs that escort the same UGV."""
 
-    guards: Annotated[int, Meta(ge=1, lt=MOST_UAVS)] = 1
+    guards: Annotated[int, Meta(ge=1, le=MOST_UAVS)] = 1
     """Number of guards g; a team of g guards tolerates the loss of g - 1."""
     silence: Positive = 2.0
     """Time without a certified guard's message, or without a measurement, after which a scout returns, S [s]."""
@@ -42,6 +46,17 @@ class Team(Message, frozen=True, kw_only=True):
     """Largest distance of a scout from the newest known position of the UGV [m]; default: the largest from which it
     certainly returns in time.
     """
+
+
+class Endurance(Message, frozen=True, kw_only=True):
+    """Endurance of a UAV, and where it charges."""
+
+    endurance: Positive
+    """Flight time with a full charge, T_e [s]."""
+    charge_time: Positive
+    """Time to charge fully at its base, T_c [s]."""
+    base: Vector
+    """Position of its base [m]."""
 
 
 class CoverageBlock(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -74,5 +89,9 @@ class TeamMessage(Message, frozen=True, kw_only=True):
     """Tick of its newest own measurement of the UGV; None: none yet."""
     measurement: Vector = (0.0, 0.0)
     """Measured position of the UGV at that tick [m]."""
+    charge: NonNegative | None = None
+    """Flight time that it has left [s]; None: unlimited."""
+    asks: Name | None = None
+    """Team-mate that it asks for relief."""
     blocks: Annotated[tuple[CoverageBlock, ...], Meta(max_length=MOST_COVERAGE_BLOCKS)] = ()
     """Parts of its own coverage."""

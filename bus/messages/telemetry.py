@@ -248,8 +248,12 @@ class TeamStatus(Message, frozen=True, kw_only=True):
     """Changes of the UAV with the largest number."""
     extra_guard_share: Share = 0.0
     """Share of the ticks with more guards than wanted."""
+    left_without_relief: Tick = 0
+    """Times that a guard with one of the largest numbers left for its base, as its charge was exhausted."""
     team_traffic: NonNegative = 0.0
     """Mean size of the messages that each UAV sends to its team, as JSON [B/s]."""
+    charges: dict[Name, NonNegative] = {}
+    """Flight time that each UAV with an endurance has left [s]."""
     numbers: dict[Name, Tick] = {}
     """Stored number of each UAV in a team; 0: it has never guarded."""
 

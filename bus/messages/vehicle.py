@@ -40,7 +40,7 @@ from bus.messages.scenario import (
     ScriptStep,
     Sensor,
 )
-from bus.messages.team import Role, Team, TeamMessage
+from bus.messages.team import Endurance, Role, Team, TeamMessage
 
 MOST_CARRIED = 6
 """Maximum number of backup trajectories in one command: its own and earlier ones that have not started. It keeps a
@@ -139,6 +139,8 @@ class UavBriefing(VehicleBriefing, frozen=True, kw_only=True):
     """Geographic position of the area's origin, for bridges that use degrees."""
     team: Team | None = None
     """Its team, with a definite `scout_range`; None: it has none."""
+    endurance: Endurance | None = None
+    """Its endurance; None: unlimited."""
     mates: tuple[Name, ...] = ()
     """All UAVs of its team in name order, itself included; empty: it has none."""
     past: "tuple[UavObservation, ...]" = ()
@@ -222,6 +224,8 @@ class UavObservation(VehicleObservation, frozen=True, kw_only=True):
     """Control law from this tick on; None: unchanged."""
     team: tuple[TeamMessage, ...] = ()
     """Messages of its team-mates that arrived at this tick."""
+    charge: NonNegative | None = None
+    """Flight time that it has left [s]; None: unlimited."""
     number: Tick = 0
     """Its number in the team, as it was stored last; it survives the process. 0: none."""
 

@@ -166,6 +166,9 @@ TEAM = _table(
     Metric("extra_guard_share", "more guards than wanted", "%", 1,
            "Share of the ticks with more than `guards` guards, as during a hand-over.",
            column="double"),
+    Metric("left_without_relief", "left without relief", "", 0,
+           "Times that a guard left for its base before another UAV had taken over.",
+           goal=0.0, column="int64"),
     Metric("team_traffic", "messages to the team", "B/s", 0,
            "Mean size of the messages that each UAV sends to its team.", column="double"),
 )

@@ -17,7 +17,7 @@ from sim.models.safety import SafetyBounds, safety_bounds
 from sim.scenario.building_tables import max_building_height, run_buildings
 from sim.scenario.clearance import clearance_fault, guaranteed_clearance
 from sim.scenario.safety import safety_parameters
-from sim.scenario.team import briefed_team, mates_of
+from sim.scenario.team import briefed_team, endurance_of, mates_of
 from sim.scenario.types import Scenario, Uav, Ugv, altitude_limits
 
 
@@ -159,6 +159,7 @@ def uav_briefing(
         max_building_height=max_building_height(scenario),
         origin=scenario.origin,
         team=briefed_team(scenario, uav),
+        endurance=endurance_of(uav),
         mates=mates_of(scenario, name),
     )
 

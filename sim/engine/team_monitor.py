@@ -1,7 +1,8 @@
 """Counters that check a team's guarantee: its UAVs' reports, compared with their stored numbers and the true state.
 
 Two of them must be 0 in every run: ticks in which a guard is certified although no UAV of the team sees the UGV, and
-ticks that contradict the lemma of docs/explanation/proof.md: the UAVs with the g largest numbers guard.
+ticks that contradict the lemma of docs/explanation/proof.md: the UAVs with the g largest numbers guard, unless they
+left exhausted.
 """
 
 import numpy as np
@@ -27,6 +28,8 @@ class TeamCounters:
     """Ticks in which a UAV with one of the g largest numbers reported another role than that of a guard."""
     handovers: int
     """Changes of the UAV with the largest number."""
+    left: int
+    """Times that a guard with one of the g largest numbers left for its base."""
     extra: int
     """Ticks with more than g guards."""
     top: int
@@ -37,11 +40,15 @@ class TeamReport:
     """Report of one UAV in a tick, and its true state."""
 
     number: int
-    """Its stored number, after this tick's command."""
+    """Its stored number, as in its observation of this tick."""
     current: bool
     """True if it has reported in this tick; only then its role is checked."""
     guards: bool
     """True if it reports the role of a guard."""
+    exhausted: bool
+    """True if it reports to fly to its base, and its charge does not last longer."""
+    left: bool
+    """True since it left as a guard, exhausted; until it guards again."""
     certified: bool
     """True if its safety filter certifies sight as a guard's."""
     lost: bool
@@ -85,8 +92,14 @@ def record_team(counts: TeamCounters, reports: RecordArray, guards: int) -> None
         rank = _rank(reports, k)
         if one.number > 0 and rank == 0:
             top = k
-        if one.number > 0 and rank < guards and one.current and not one.guards:
-            broken = True
+        if one.guards:
+            one.left = False
+        if one.number > 0 and rank < guards and one.current and not (one.guards or one.left):
+            if one.exhausted:
+                one.left = True
+                counts.left += 1
+            else:
+                broken = True
         certified = certified or (one.guards and one.certified)
         seen = seen or not one.lost
         many += 1 if one.guards else 0

@@ -21,7 +21,7 @@ from sim.input.faults import Fault, near, one_line, unknown_name
 from sim.input.reading import as_raw, type_fault, typed
 from sim.scenario.building_checks import BUILDING_CHECKS, building_warnings
 from sim.scenario.ground_checks import GROUND_CHECKS, hazard_warnings
-from sim.scenario.team import teams_are_possible
+from sim.scenario.team import endurances_suffice, teams_are_possible, watch_warnings
 from sim.scenario.types import Scenario, switching_radius
 from sim.scenario.world_checks import WORLD_CHECKS, Check, escorts
 
@@ -213,6 +213,7 @@ CHECKS: tuple[Check, ...] = (
     *BUILDING_CHECKS,
     *GROUND_CHECKS,
     teams_are_possible,
+    endurances_suffice,
 )
 """Checks in order: later ones may rely on earlier ones."""
 
@@ -257,6 +258,7 @@ def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
             _task_warnings,
             hazard_warnings,
             building_warnings,
+            watch_warnings,
         )
         for line in warnings(scenario)
     )
@@ -269,7 +271,7 @@ def _law_warnings(scenario: Scenario) -> Iterator[str]:
 
 
 def _separation_warnings(scenario: Scenario) -> Iterator[str]:
-    if len(scenario.uav) > 1:
+    if len(scenario.uav) > 1 and scenario.team is None:  # a team flies at separate altitudes
         names = ", ".join(uav.name for uav in scenario.uav)
         yield f"{names}: nothing keeps UAVs apart; the metric min_separation is the smallest distance"
 

@@ -2,15 +2,19 @@
 
 import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import msgspec
 
 from bus.messages.base import or_infinite
-from bus.messages.team import MOST_UAVS, Team
-from bus.numbers import at_most, exact
+from bus.messages.team import MOST_UAVS, Endurance, Team
+from bus.numbers import at_least, at_most, exact
 from sim.input.faults import Fault
+from sim.models.endurance import CERTIFYING, RESERVE, reach_time, return_time
 from sim.scenario.safety import safety_parameters
 from sim.scenario.types import Scenario, Uav
+
+_ROUNDING = 1e-9
 
 
 def mates_of(scenario: Scenario, uav: str) -> tuple[str, ...]:
@@ -66,6 +70,92 @@ def briefed_team(scenario: Scenario, uav: Uav) -> Team | None:
     if team is None or team.scout_range is not None:
         return team
     return msgspec.structs.replace(team, scout_range=_leash_of(scenario, team, uav))
+
+
+def endurance_of(uav: Uav) -> Endurance | None:
+    """Return the endurance of a UAV in the form of a message; None: it is unlimited."""
+    if uav.endurance is None or uav.base is None:
+        return None
+    return Endurance(endurance=uav.endurance, charge_time=uav.charge_time, base=uav.base)
+
+
+class Watch(NamedTuple):
+    """Times of a watch with relief [s], see docs/explanation/teams.md."""
+
+    lead: float
+    """From the request for relief to the acceptance."""
+    watch: float
+    """For which a UAV guards with one charge, T_w."""
+    away: float
+    """From the release to the next acceptance, with a full charge in between."""
+
+
+def watch_of(scenario: Scenario, uav: Uav) -> Watch:
+    """Return the times of a UAV with an endurance, for the point of the area that is farthest from its base."""
+    (x, y), area = uav.base or uav.position, scenario.area
+    distance = math.hypot(max(x, area.width - x), max(y, area.height - y))
+    ugv = next(one for one in scenario.ugv if one.name == uav.escorts)
+    v_a, u_a, silence = (
+        uav.max_speed,
+        uav.max_acceleration,
+        scenario.team.silence if scenario.team else 0.0,
+    )
+    out = reach_time(distance, v_a, u_a, ugv.max_speed) + CERTIFYING
+    back = return_time(distance, v_a, u_a)
+    watch = (uav.endurance or math.inf) - RESERVE - out - back
+    return Watch(out + 2.0 * silence, watch, back + uav.charge_time + out)
+
+
+def endurances_suffice(scenario: Scenario) -> Iterator[Fault]:
+    """Check that each UAV with an endurance has a base in the area, and guards longer than its relief takes."""
+    area = scenario.area
+    for k, uav in enumerate(scenario.uav):
+        if uav.endurance is None:
+            continue
+        if scenario.team is None:
+            yield Fault(
+                f"uav.{k}.endurance", uav.endurance, "only a team can relieve it", "with [team]"
+            )
+        if uav.base is None:
+            yield Fault(f"uav.{k}.base", None, "missing: it cannot charge", "[x, y] in m")
+            continue
+        if not (0.0 <= uav.base[0] <= area.width and 0.0 <= uav.base[1] <= area.height):
+            inside = f"[0, {exact(area.width)}] x [0, {exact(area.height)}] m"
+            yield Fault(f"uav.{k}.base", list(uav.base), "outside the area", inside)
+        times = watch_of(scenario, uav)
+        if not times.watch > times.lead:
+            least = uav.endurance - times.watch + times.lead
+            wrong = "too short: its base is too far for a relief in time"
+            yield Fault(f"uav.{k}.endurance", uav.endurance, wrong, f"above {at_least(least, 4)} s")
+
+
+def watch_warnings(scenario: Scenario) -> Iterator[str]:
+    """Warn of a team that cannot guard without a gap, with what would do."""
+    team = scenario.team
+    for mates in teams_of(scenario):
+        uavs = [uav for uav in scenario.uav if uav.name in mates]
+        if team is None or any(uav.endurance is None for uav in uavs):
+            continue
+        times = [watch_of(scenario, uav) for uav in uavs]
+        watch, away = min(one.watch for one in times), max(one.away for one in times)
+        count, g = len(uavs), team.guards
+        needed = math.ceil(g + g * away / watch - _ROUNDING)
+        if count >= needed:
+            continue
+        cures = [f"{needed} UAVs"]
+        if count > g:
+            longest = (count - g) * watch / g
+            used = away - max(uav.charge_time for uav in uavs)
+            extra = g * away / (count - g) - watch
+            cures.append(
+                f"an endurance of {at_least(min(uav.endurance or 0.0 for uav in uavs) + extra, 4)} s"
+            )
+            if longest > used:
+                cures.append(f"a charge time of {at_most(longest - used, 4)} s")
+        yield (
+            f"{', '.join(mates)}: the watch has gaps: a UAV guards for {watch:.4g} s per charge, and is away for "
+            f"{away:.4g} s; needed: {' or '.join(cures)}"
+        )
 
 
 def teams_are_possible(scenario: Scenario) -> Iterator[Fault]:

@@ -105,6 +105,12 @@ class Uav(Table, frozen=True, kw_only=True):
     """Time constant of this error [s]."""
     tracking: InnerLoop = InnerLoop()
     """Inner loop, which tracks the reference state against wind and position errors."""
+    endurance: Positive | None = None
+    """Flight time with a full charge [s], at the start and after charging; default: unlimited. Only in a team."""
+    charge_time: Positive = 300.0
+    """Time to charge fully at its base [s]."""
+    base: Vector | None = None
+    """Position at which it charges [m]."""
     initial_altitude: Altitude | None = None
     """Initial altitude above the ground [m]; default: none, the UAV flies in the plane."""
     min_altitude: Altitude | None = None

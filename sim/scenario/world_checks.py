@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator
 
 import msgspec
@@ -229,11 +230,16 @@ def uav_is_stronger(scenario: Scenario) -> Iterator[Fault]:
 
 
 def ugv_is_seen_at_start(scenario: Scenario) -> Iterator[Fault]:
-    """Check the visibility constraint at the start (Proposition 2 of the paper)."""
-    for path, uav, ugv in escorts(scenario):
-        distance = math.dist(uav.position, ugv.position)
-        radius = scenario.visibility.radius
-        if distance >= radius:
+    """Check the visibility constraint at the start (Proposition 2 of the paper); in a team, for its g nearest UAVs."""
+    radius, seen = scenario.visibility.radius, Counter[str]()
+    pairs = [
+        (math.dist(uav.position, ugv.position), path, uav, ugv)
+        for path, uav, ugv in escorts(scenario)
+    ]
+    for distance, path, uav, ugv in sorted(pairs, key=lambda pair: pair[:2]):
+        needed = scenario.team is None or seen[ugv.name] < scenario.team.guards
+        seen[ugv.name] += 1
+        if distance >= radius and needed:
             allowed = f"nearer than visibility.radius = {exact(radius)} m"
             yield Fault(
                 f"{path}.position",

@@ -281,6 +281,7 @@ class Flight:
                 self.routes[name] = command.route
         self._clearance.update(commands)
         world.advance()
+        self.team.use_charge()
         self._answers.record(world.tick - 1, commands, self.law.name, self._clearance.since())
 
     def take_down(self) -> None:

@@ -199,6 +199,7 @@ class UavPerception(Perception):
             buildings=found,
             law=news.law,
             team=self._messages.get(tick, ()) if known else (),
+            charge=self._team.charge(self.name, tick),
             number=self._team.number(self.name, tick),
         )
 

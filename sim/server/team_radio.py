@@ -1,10 +1,11 @@
-"""Messages between the UAVs of each team, and their stored numbers.
+"""Messages between the UAVs of each team, their stored numbers and their charge.
 
 The simulator stores a UAV's number before it sends a message that names it, as the proof of docs/explanation/proof.md
 assumes (T1, T2). It returns the number in each observation: it survives the UAV's process.
 """
 
 import bisect
+import math
 
 import msgspec
 
@@ -12,12 +13,14 @@ from bus.messages.links import LinkKind
 from bus.messages.team import MOST_UAVS, TeamMessage
 from bus.messages.vehicle import UavCommand
 from bus.ticks import team_ticks
-from sim.scenario.team import mates_of
+from sim.models.endurance import RESERVE, EnduranceParameters, next_charge, return_time
+from sim.models.vehicles import State
+from sim.scenario.team import endurance_of, mates_of
 from sim.world import World
 
 
 class TeamRadio:
-    """Stored numbers and messages of all teams.
+    """Stored numbers, charge and messages of all teams.
 
     Args:
         world: World whose links carry the messages.
@@ -36,6 +39,12 @@ class TeamRadio:
         self._arrived: tuple[int, dict[str, list[TeamMessage]]] = (-1, {})
         self.refused = dict.fromkeys(names, 0)
         """Messages of each UAV that were not sent: wrong sender, tick, number or rate."""
+        self._endurances = {
+            uav.name: EnduranceParameters(one.endurance, one.charge_time, *one.base)
+            for uav in world.uavs
+            if (one := endurance_of(uav)) is not None
+        }
+        self._charges = {name: [one.endurance] for name, one in self._endurances.items()}
         self.octets = dict.fromkeys(names, 0)
         """Size of the messages that each UAV has sent, as JSON [bytes]."""
 
@@ -45,6 +54,28 @@ class TeamRadio:
         if tick is None:
             return changes[-1][1]
         return changes[bisect.bisect_left(changes, (tick, 0)) - 1][1]
+
+    def charge(self, uav: str, tick: int | None = None) -> float | None:
+        """Return the flight time that a UAV has left at a tick [s]; None: unlimited. Without a tick: now."""
+        charges = self._charges.get(uav)
+        return None if charges is None else charges[-1 if tick is None else tick]
+
+    def needed_charge(self, uav: str) -> float:
+        """Return the flight time that a UAV needs to reach its base with the reserve [s]."""
+        world, one = self._world, self._endurances[uav]
+        vehicle = world.vehicles[world.names.index(uav)]
+        x, y = vehicle["reference_position"].tolist()
+        bounds = float(vehicle["max_speed"]), float(vehicle["max_acceleration"])
+        return RESERVE + return_time(math.hypot(x - one.base_x, y - one.base_y), *bounds)
+
+    def use_charge(self) -> None:
+        """Advance the charge of every UAV with an endurance, after the world has advanced."""
+        world = self._world
+        for name, parameters in self._endurances.items():
+            one = world.vehicles[world.names.index(name)]
+            state = State(*one["reference_position"].tolist(), *one["reference_velocity"].tolist())
+            charges = self._charges[name]
+            charges.append(next_charge(parameters, charges[-1], state, world.parameters.dt))
 
     def send(self, name: str, command: UavCommand) -> None:
         """Store the number of a UAV's command, then send its message; it arrives at the next tick at the earliest."""

@@ -12,6 +12,9 @@ from sim.scenario.types import Scenario
 from sim.server.recorder import Recorder
 from sim.server.team_radio import TeamRadio
 
+_ROUNDING = 1.0
+"""Tolerance when a charge is compared with what the way back needs [s]: a UAV moves in the tick of its decision."""
+
 
 class TeamWatch:
     """Supervision of all teams.
@@ -50,14 +53,23 @@ class TeamWatch:
             for row, uav in zip(rows, uavs, strict=True):
                 report = reports[uav] if current[uav] else None
                 decision = None if report is None else report.decision
-                row["number"] = self._radio.number(self._names[uav])
+                row["number"] = self._radio.number(self._names[uav], tick)
                 row["current"] = report is not None
                 row["guards"] = report is not None and report.role is Role.GUARD
+                row["exhausted"] = report is not None and self._exhausted(uav, report)
                 row["certified"] = (
                     decision is not None and decision.certified and revoked[uav] is None
                 )
                 row["lost"] = self._recorder.is_lost(tick, uav)
             record_team(self._counts[team], rows, self._guards)
+
+    def _exhausted(self, uav: int, report: UavReport) -> bool:
+        """Return whether a UAV flies to its base as its charge lasts for that only."""
+        name = self._names[uav]
+        charge = self._radio.charge(name)
+        if charge is None or report.role is not Role.AWAY:
+            return False
+        return charge <= self._radio.needed_charge(name) + _ROUNDING
 
     def status(self) -> TeamStatus | None:
         """Return all counts as a message; None: there are no teams, or no tick was monitored."""
@@ -76,5 +88,9 @@ class TeamWatch:
             handovers=int(counts["handovers"].sum()),
             extra_guard_share=int(counts["extra"].sum()) / ticks,
             team_traffic=octets / len(members) / duration,
+            left_without_relief=int(counts["left"].sum()),
+            charges={
+                name: left for name in members if (left := self._radio.charge(name)) is not None
+            },
             numbers={name: self._radio.number(name) for name in members},
         )

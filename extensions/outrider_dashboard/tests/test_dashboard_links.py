@@ -100,7 +100,7 @@ def test_equal_settings_give_one_control_per_kind_of_link() -> None:
     one, other = LinkSettings(loss=0.1), LinkSettings(loss=0.2)
     everywhere = controls_for(dict.fromkeys(NAMES, one), NAMES)
     assert [(control.link, control.vehicle) for control in everywhere] == [
-        (kind, None) for kind in LinkKind
+        (kind, None) for kind in LinkKind if kind is not LinkKind.TEAM
     ]
     each = controls_for({"uav_0/commands": one, "ugv_0/commands": other}, NAMES)
     assert [(control.vehicle, control.settings) for control in each] == [
