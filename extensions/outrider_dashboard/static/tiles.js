@@ -26,9 +26,27 @@ function show(row, value, { text = null, unit = row.unit, note = "", bad = false
   setTitle(tile, [`${row.meaning.replace(/\.$/, "")}${which}.`, ...more].join("\n"));
 }
 
+// Return the pairs on which sight depends: all, or of each team the nearest UAV.
+function decisivePairs(escorts, truth, distances) {
+  const isInTeam = (k) => truth && truth.escorts[k] && truth.escorts[k].report && truth.escorts[k].report.role;
+  const all = escorts.map((_, k) => k);
+  const nearest = (k) => all.every((other) => escorts[other][1] !== escorts[k][1] || distances[k] < distances[other] || other === k);
+  return all.some(isInTeam) ? all.filter(nearest) : all;
+}
+
+// Return the role of each UAV in a team, a line each.
+function rolesOf(status) {
+  if (!status || !status.team) return [];
+  const { charges, numbers } = status.team;
+  const left = (uav) => (known(charges[uav]) ? `, ${charges[uav].toFixed(0)} s left` : "");
+  return Object.entries(status.roles).map(([uav, role]) => `${uav}: ${role.toLowerCase()}, number ${numbers[uav] || "none"}${left(uav)}`);
+}
+
 // Return the state of the certificates and the reasons of those that are missing.
 function certificateOf(truth) {
-  const watched = (truth ? truth.escorts : []).filter(({ report }) => report && report.decision);
+  const reported = (truth ? truth.escorts : []).filter(({ report }) => report && report.decision);
+  const guards = reported.filter(({ report }) => report.role === "GUARD");
+  const watched = guards.length ? guards : reported;
   const reasonOf = ({ report, revoked }) => revoked || report.decision.reason;
   const broken = watched.filter(reasonOf);
   const reasons = broken.map((escort) => `${escort.uav} is not certified: ${textOfReason(reasonOf(escort))}`);
@@ -38,14 +56,16 @@ function certificateOf(truth) {
   return { text: `not certified${whose}`, reasons };
 }
 
-export function showTiles({ now, vehicles, escorts, geometry, status, truth, state }) {
+export function showTiles({ now, vehicles, escorts: every, geometry, status, truth, state }) {
   const of = (name) => metric("now", name);
   show(of("time"), truth ? truth.time : status && status.time);
   show(of("realtime_factor"), state && state.factor);
   showMission(status);
   if (!now) return;
-  const several = escorts.length > 1;
-  const column = (which) => escorts.map((_, k) => now[2 + 2 * vehicles.length + PER_ESCORT * k + which]);
+  const ofEvery = (which) => every.map((_, k) => now[2 + 2 * vehicles.length + PER_ESCORT * k + which]);
+  const decisive = decisivePairs(every, truth, ofEvery(0)), roles = rolesOf(status);
+  const escorts = decisive.map((k) => every[k]), several = every.length > 1;
+  const column = (which) => decisive.map((k) => ofEvery(which)[k]);
   const showWorst = (name, values, { text = "", unsure = [], instead = null } = {}) => {
     const row = of(name);
     const found = values.filter(known);
@@ -54,10 +74,11 @@ export function showTiles({ now, vehicles, escorts, geometry, status, truth, sta
     const each = several ? values.map((value, k) => `${escorts[k].join(" and ")}: ${textOf(row, value)}`) : [];
     const note = !several ? "" : [unsure.length ? "" : pair, text].filter(Boolean).join(" · ");
     const bad = name === "margin" && worst !== null && worst <= 0;
-    show(row, worst, { text: instead, unit: text && !several ? `${row.unit} · ${text}` : row.unit, note, bad, which: OF_SEVERAL[row.total], more: [...each, ...unsure] });
+    show(row, worst, { text: instead, unit: text && !several ? `${row.unit} · ${text}` : row.unit, note, bad, which: OF_SEVERAL[row.total], more: [...each, ...unsure, ...roles] });
   };
   const { text, reasons } = certificateOf(truth);
-  const radius = (k) => (truth && truth.escorts[k] && known(truth.escorts[k].sight_radius) ? truth.escorts[k].sight_radius : geometry.visibility_radius);
+  const sight = (k) => truth && truth.escorts[decisive[k]] && truth.escorts[decisive[k]].sight_radius;
+  const radius = (k) => (known(sight(k)) ? sight(k) : geometry.visibility_radius);
   const margins = column(0).map((distance, k) => {
     if (!geometry || !known(distance)) return null;
     return radius(k) === 0 ? 0 : radius(k) - distance;

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from rich.text import Text
 
+from bus.messages.team import Role
 from bus.messages.telemetry import EscortTruth, Status, VehicleStatus, VehicleTruth
 from bus.registry import TELEOP
 from outrider.view.operator import SILENCE
@@ -49,15 +50,14 @@ class Banner(NamedTuple):
     ground: str
 
 
-def farthest(view: DriveView, vehicle: str) -> EscortTruth | None:
-    """Return the escort of a UGV that is farthest away; None if unknown."""
+def decisive(view: DriveView, vehicle: str) -> EscortTruth | None:
+    """Return the escort on which sight of a UGV depends: the farthest, or the nearest of a team; None if unknown."""
     if view.truth is None:
         return None
-    return max(
-        (escort for escort in view.truth.escorts if escort.ugv == vehicle),
-        key=lambda one: one.distance,
-        default=None,
-    )
+    escorts = [escort for escort in view.truth.escorts if escort.ugv == vehicle]
+    roles = view.status.roles if view.status is not None else {}
+    choose = min if any(escort.uav in roles for escort in escorts) else max
+    return choose(escorts, key=lambda one: one.distance, default=None)
 
 
 def banner(view: DriveView, vehicle: str, *, leaving: bool) -> Banner:
@@ -118,8 +118,9 @@ def _total(status: Status) -> str:
 def numbers(view: DriveView, vehicle: str, history: ErrorCurve) -> Text:
     """Return the panel of numbers."""
     text = Text(no_wrap=True, style=INK)
-    escort = farthest(view, vehicle)
+    escort = decisive(view, vehicle)
     _distance(text, view, escort)
+    _team(text, view)
     _coverage(text, escort, history)
     _velocities(text, view, vehicle, escort)
     _mission(text, view)
@@ -152,6 +153,20 @@ def _distance(text: Text, view: DriveView, escort: EscortTruth | None) -> None:
     _row(text, f"margin to r_v{limit}", margin, color, bold=True)
     if view.truth is not None and escort is not None:
         _altitude(text, view.truth.vehicles[escort.uav])
+    text.append("\n")
+
+
+def _team(text: Text, view: DriveView) -> None:
+    """Add role, number and charge of each UAV in a team."""
+    status = view.status
+    if status is None or status.team is None:
+        return
+    for name, role in status.roles.items():
+        charge = status.team.charges.get(name)
+        left = "" if charge is None else f", {charge:.0f} s left"
+        number = status.team.numbers.get(name, 0)
+        color = UAV[0] if role is Role.GUARD else INK
+        _row(text, f"{name} ({number})" if number else name, f"{role.lower()}{left}", color)
     text.append("\n")
 
 
