@@ -344,23 +344,29 @@ def _send(
 
 
 @compiled
-def _judge(guards: int, team: _Team) -> tuple[int, bool]:
-    """Return the number of certified guards, and whether the tick contradicts the lemma or the theorem."""
-    watching, broken = 0, False
+def _judge(guards: int, team: _Team) -> tuple[int, int, bool]:
+    """Judge a tick.
+
+    Returns:
+        Number of certified guards, number of these whose number is stored, and True if lemma or theorem do not hold.
+    """
+    watching, settled, broken = 0, 0, False
     for i in range(team.uavs.shape[0]):
         uav, own, greater = team.uavs[i], team.memory.own[i], 0
         if not uav.alive or uav.stored == 0:
             continue
-        guarding = own.role == GUARD and own.number == uav.stored
+        # its process learns in the next tick of a late number; as a relief it passes the filter until then
+        guarding = own.role == GUARD or (own.role == RELIEF and uav.stored > own.number)
         uav.excused = uav.excused and not guarding
         if guarding and uav.certified:
             watching += 1
+            settled += 1 if own.number == uav.stored else 0
             uav.owed = True
         for k in range(team.uavs.shape[0]):
             greater += 1 if team.uavs[k].stored > uav.stored else 0
         if greater < guards and not uav.excused:
             broken = broken or not guarding or (uav.owed and not uav.certified)
-    return watching, broken
+    return watching, settled, broken
 
 
 @compiled
@@ -383,8 +389,8 @@ def _run(
             if team.uavs[i].alive:
                 sums[3] += 0 if _act(adversary, team, i, tick, rng) else 1
                 stored += 1 if _send(adversary, team, i, air, tick, rng) else 0
-        watching, wrong = _judge(guards, team)
-        complete = complete or watching >= guards
+        watching, settled, wrong = _judge(guards, team)
+        complete = complete or settled >= guards
         sums[0] += 1 if watching > 0 else 0
         broken += 1 if wrong else 0
         dark += 1 if complete and watching == 0 and lost < guards else 0
@@ -405,6 +411,7 @@ def _runs(
     guards: int,
     losses: int,
     late: int,
+    forgets: bool,
 ) -> IntArray:
     rows, waiting = np.zeros((_SLOTS, _WAITING, 7), np.int64), np.zeros(_SLOTS, np.int64)
     air, sums = _Air(rows, waiting, np.zeros(1, _MESSAGE)), np.zeros(7, np.int64)
@@ -421,7 +428,7 @@ def _runs(
             rng.random(),  # rests
             rng.random(),  # talks
             0.3 * max(0.0, 2.0 * rng.random() - 1.0),  # unstored
-            0.3 * max(0.0, 2.0 * rng.random() - 1.0),  # forgets
+            0.3 * max(0.0, 2.0 * rng.random() - 1.0) if forgets else 0.0,
             0.2 * max(0.0, 2.0 * rng.random() - 1.0),  # asks
             late,
             int(rng.integers(1, LATEST + 1)),  # delay
@@ -438,6 +445,7 @@ def counts(
     losses: int,
     protocol: Protocol = Protocol.PRODUCT,
     late: int = 0,
+    forgets: bool = True,
     seed: int = 1,
 ) -> Counts:
     """Return the counts of random runs.
@@ -448,8 +456,9 @@ def counts(
         losses: Largest number of deaths and exhausted charges in a run.
         protocol: The protocol.
         late: Largest delay of a UAV's command to the simulator [ticks], as in real time.
+        forgets: True if a process may not know at times whether its last commands were sent.
         seed: Seed of the adversary.
     """
     rng = np.random.default_rng(seed)
-    given = int(protocol), guards, losses, late
+    given = int(protocol), guards, losses, late, forgets
     return Counts(*_runs(total, rng, _PARAMETERS.copy(), _NEW, *given).tolist())

@@ -66,6 +66,8 @@ class OwnRole:
     """Code of a `Role`."""
     number: int
     """Its number; it is stored when a command with it arrives."""
+    withdrawn: int
+    """Largest number with which it has accepted in a command that may not have been sent; 0: none."""
     unsent: bool
     """True if its last commands may not have been sent."""
     filtered: bool

@@ -96,15 +96,14 @@ def change_role(parameters: TeamParameters, memory: TeamMemory, number: int, tic
         tick: Current tick.
     """
     own = memory.own[0]
-    if number > own.number:  # another process has stored it
+    if number > own.number:  # another process has stored it, or a late command of this one
         own.number, own.role = number, GUARD
-    elif (
-        own.unsent and number < own.number
-    ):  # this acceptance may never be stored: the filter goes on
-        own.number = number
-        guards = number > 0 and not is_released(parameters, memory)
-        own.role = GUARD if guards else RELIEF
+    elif own.unsent and number < own.number:
+        own.withdrawn, own.number = max(own.withdrawn, own.number), number
+        own.role = GUARD if number > 0 else RELIEF
     own.unsent = False
+    # a withdrawn number may still be stored: the filter goes on until the UAV accepts again
+    held = own.withdrawn > own.number
     if own.since < 0:
         own.since = tick
         if own.home and number == 0:
@@ -115,10 +114,11 @@ def change_role(parameters: TeamParameters, memory: TeamMemory, number: int, tic
     asked = own.asked_tick >= 0 and tick - own.asked_tick <= silence
     own.called = own.role in (SCOUT, RELIEF) and (asked or (own.called and own.role == RELIEF))
     if own.role == GUARD and is_released(parameters, memory):
-        own.role = AWAY if math.isfinite(own.charge) else SCOUT
+        free = AWAY if math.isfinite(own.charge) else SCOUT
+        own.role = RELIEF if held else free
     elif own.role == SCOUT and (own.called or (alone and tick - own.since > silence)):
         own.role = RELIEF
-    elif own.role == RELIEF and not alone and not own.called:  # later calls may be lost
+    elif own.role == RELIEF and not (alone or held or own.called):  # later calls may be lost
         own.role = AWAY if math.isfinite(own.charge) else SCOUT
     if own.role == AWAY and own.home and own.charge >= parameters.endurance.endurance:
         own.role = SCOUT
@@ -162,7 +162,7 @@ def accept(parameters: TeamParameters, memory: TeamMemory, certified: bool) -> N
     """Begin to guard if the filter certifies this tick (R1); called after its decision."""
     own = memory.own[0]
     if own.role == RELIEF and certified:
-        largest = own.number
+        largest = max(own.number, own.withdrawn)
         for k in range(memory.mates.shape[0]):
             largest = max(largest, memory.mates[k].number)
         own.number = (largest // MOST_UAVS + 1) * MOST_UAVS + MOST_UAVS - 1 - parameters.row
