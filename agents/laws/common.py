@@ -110,7 +110,8 @@ def coverage_velocity_error(
     inputs: LawInputs,
 ) -> tuple[float, float]:
     """Return e_vel of (10) [m/s]: along (6), or along (7) if (6) is zero."""
-    coverage, tick, own, target, occlusion = inputs
+    coverage, tick, own, target = inputs.coverage, inputs.tick, inputs.own, inputs.target
+    occlusion = inputs.occlusion
     u_cov_x, u_cov_y, size = coverage_gradient(
         coverage,
         own.p_x,

@@ -167,7 +167,8 @@ def decide(
 
     A single candidate is not compared: it is flown to its end, then the next is drawn.
     """
-    coverage, tick, own, target, occlusion = inputs
+    coverage, tick, own, target = inputs.coverage, inputs.tick, inputs.own, inputs.target
+    occlusion = inputs.occlusion
     v_ref, persistence = min(law.reference_speed, uav.max_speed), learn_persistence(memory, target)
     ahead = look_ahead(uav, law.horizon, v_ref, coverage, tick, target, persistence)
     key = memory.key_0, memory.key_1
