@@ -115,12 +115,12 @@ class _Uav:
     exhausted: bool
     """Its charge does not last any longer, until it leaves."""
     excused: bool
-    """It left exhausted, and has not guarded since."""
+    """It left exhausted, and has not been a certified guard since."""
     wished: bool
     certified: bool
     """Its filter certifies sight."""
     owed: bool
-    """It was certified when it accepted or later, and its process has lived since."""
+    """It was certified when it accepted or later; its process has lived and its charge lasted since."""
     largest: int
     """Largest number that its process has heard."""
     heard: int
@@ -290,7 +290,7 @@ def _act(adversary: _Adversary, team: _Team, i: int, tick: int, rng: np.random.G
         own.role = SCOUT
     change_role(parameters, memory, uav.stored, tick)
     if own.role == AWAY and uav.exhausted:
-        uav.exhausted, uav.excused = False, True
+        uav.exhausted, uav.excused, uav.owed = False, True, False
     uav.wished = uav.wished or rng.random() < adversary.wish
     if own.role == SCOUT and uav.wished:
         own.role = RELIEF
@@ -327,7 +327,7 @@ def _send(
     if new and number % MOST_UAVS != MOST_UAVS - 1 - i:
         return False
     if new:
-        uav.stored, uav.owed = number, True
+        uav.stored, uav.owed = number, not uav.excused
     if role != GUARD and rng.random() >= adversary.talks:
         return new
     for j in range(team.uavs.shape[0]):
@@ -357,8 +357,8 @@ def _judge(guards: int, team: _Team) -> tuple[int, int, bool]:
             continue
         # its process learns in the next tick of a late number; as a relief it passes the filter until then
         guarding = own.role == GUARD or (own.role == RELIEF and uav.stored > own.number)
-        uav.excused = uav.excused and not guarding
         if guarding and uav.certified:
+            uav.excused = False
             watching += 1
             settled += 1 if own.number == uav.stored else 0
             uav.owed = True
