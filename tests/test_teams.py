@@ -22,6 +22,7 @@ from bus.messages.telemetry import TeamStatus
 from bus.messages.vehicle import UavCommand, UavObservation, UgvBriefing, UgvObservation
 from fields import fields_within
 from outrider.closed_loop.closed_loop import ClosedLoop
+from outrider.running.assumptions import how_certifiable
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import summarize
 from processes import await_status, child_of, flying, observing
@@ -470,9 +471,12 @@ def test_summary_of_a_run_without_a_team_has_none() -> None:
     assert summarize(flight, seconds=1.0).team is None
 
 
-def test_a_watch_has_no_gap_where_check_says_so() -> None:
+@pytest.mark.parametrize(
+    ("duration", "cell"), [(600.0, 0.5), pytest.param(3600.0, 0.25, marks=pytest.mark.long)]
+)
+def test_a_watch_has_no_gap_where_check_says_so(duration: float, cell: float) -> None:
     """Three UAVs relieve one another; a scout that waits at its base is asked in time."""
-    scenario = load_scenario("relay", overrides={"duration": 600.0, "area.cell": 0.5})
+    scenario = load_scenario("relay", overrides={"duration": duration, "area.cell": cell})
     assert not scenario_warnings(scenario)
     flight, summary = fly(scenario, 7)
     status = assert_guaranteed(flight)
@@ -498,3 +502,41 @@ def test_check_says_what_a_watch_needs() -> None:
     for changes in ({"uav.*.endurance": 357.61}, {"uav.*.charge_time": 184.78}):
         cured = {"uav.*.charge_time": 300.0} | changes
         assert not scenario_warnings(load_scenario("relay", overrides=cured))
+
+
+def test_an_exhausted_guard_releases_no_relief() -> None:
+    """Its number is greater, but it does not guard: a relief that had not heard it goes on."""
+    pilot = pilot_of()
+    for tick in (100, 101):
+        pilot.act(
+            observed(message(tick, 31, role=Role.AWAY, certified=False), tick=tick, number=30)
+        )
+    assert pilot.team is not None
+    assert pilot.team.role is Role.GUARD
+    pilot.act(observed(message(102, 31), tick=102, number=30))
+    assert pilot.team.role is Role.SCOUT
+
+
+def test_an_exhausted_guard_leaves_no_long_gap() -> None:
+    """Its relief has heard nothing of it, and hears its number afterwards."""
+    changes = {"links.team.blackouts": [[60.0, 170.0]], "duration": 500.0, "area.cell": 0.5}
+    flight = fly(load_scenario("relay", overrides=changes), 7)[0]
+    status = assert_guaranteed(flight)
+    assert status.team_certified_share > 0.9
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"measured": 1}, {"asks": "uav_9"}, {"sender": "uav_2"}, {"tick": 3}],
+)
+def test_a_message_that_would_mislead_is_not_sent(changes: dict[str, Any]) -> None:
+    radio = TeamRadio(World(team(10.0), 7))
+    radio.received("uav_1", 0)
+    radio.send("uav_1", sent(**changes))
+    assert radio.refused["uav_1"] == 1
+
+
+def test_a_law_without_a_filter_has_its_assumptions_checked_in_a_team() -> None:
+    poor = {"law.name": "logarithmic", "links.detections.delay": 2.0}
+    assert how_certifiable(load_scenario("scouts", overrides=poor)) != "always"
+    assert how_certifiable(load_scenario("escort", overrides=poor)) is None

@@ -12,7 +12,7 @@ from bus.messages.vehicle import UavBriefing
 from bus.ticks import NO_TICK, team_ticks, ticks_within
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray, code, record_type, records
-from sim.models.endurance import CERTIFYING, EnduranceParameters
+from sim.models.endurance import CERTIFYING, EnduranceParameters, farthest_in_area
 
 SCOUT, RELIEF, GUARD, AWAY = map(code, Role)
 
@@ -21,7 +21,7 @@ class TeamParameters(NamedTuple):
     """Constants of one UAV in its team."""
 
     row: int
-    """Row of the UAV among those of the team."""
+    """Row of the UAV in its team."""
     guards: int
     """g: number of guards."""
     silence_ticks: int
@@ -35,6 +35,10 @@ class TeamParameters(NamedTuple):
     """Bounds of the UAV [m/s], [m/s²]."""
     v_g: float
     """Maximum speed of the UGV [m/s]."""
+    sight: float
+    """Twice the visibility radius r_v [m]."""
+    farthest: float
+    """Largest distance from its base within the area [m]."""
     relief_time: float
     """Time from a request for relief to the acceptance, apart from the flight [s]."""
     endurance: EnduranceParameters
@@ -42,7 +46,7 @@ class TeamParameters(NamedTuple):
 
 
 class Mate:
-    """What a UAV has heard of one UAV of its team; its own row is empty."""
+    """Record of what a UAV has heard from one UAV of its team; its own row is empty."""
 
     number: int
     """Largest number; 0: none."""
@@ -85,9 +89,9 @@ class OwnRole:
     charge: float
     """Flight time left [s]; infinite: unlimited."""
     spare: float
-    """Of this, what remains after the flight to the base and the reserve [s]."""
+    """Flight time left beyond the flight to the base and the reserve [s]."""
     lead: float
-    """Time that a relief needs to reach the UGV and be certified [s]."""
+    """Time that a relief needs to reach the UGV and be certified, and that the way back may grow by meanwhile [s]."""
     home: bool
     """True if it is at rest at its base."""
     own_tick: int
@@ -136,6 +140,8 @@ def team_parameters(briefing: UavBriefing) -> RecordArray | None:
         v_a=v_a,
         u_a=u_a,
         v_g=briefing.target_limits.numbers[0],
+        sight=2.0 * briefing.visibility_radius,
+        farthest=0.0 if given is None else farthest_in_area(given.base, briefing.area),
         relief_time=CERTIFYING + 2.0 * team.silence,
         endurance=EnduranceParameters(math.inf, 1.0, 0.0, 0.0)
         if given is None

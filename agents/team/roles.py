@@ -4,7 +4,8 @@ docs/explanation/proof.md proves that a team with guards does not run out of the
 
 R1: a UAV begins to guard only in a tick that its own filter certifies, with a number above all that it has heard.
 R2: a guard's commands pass the filter. R3: a guard stops only after it has heard numbers above its own from g different
-UAVs. R4: a process that rejoins reads its stored number, and guards unless it has none.
+UAVs, each a certified guard within the silence. R4: a process that rejoins reads its stored number, and guards unless
+it has none.
 """
 
 import math
@@ -65,24 +66,24 @@ def _record_own(memory: TeamMemory, inputs: UavInputs) -> bool:
 
 
 @compiled
-def is_released(parameters: TeamParameters, memory: TeamMemory) -> bool:
-    """Return whether a guard may stop (R3): it has heard greater numbers from g different UAVs."""
-    own, greater = memory.own[0], 0
+def _hears_guards(parameters: TeamParameters, memory: TeamMemory, tick: int, above: int) -> bool:
+    """Return whether g team-mates with numbers above this one were certified guards within the silence."""
+    count = 0
     for k in range(memory.mates.shape[0]):
-        if k != parameters.row and memory.mates[k].number > own.number:
-            greater += 1
-    return greater >= parameters.guards
+        mate = memory.mates[k]
+        recent = mate.guard_tick >= 0 and tick - mate.guard_tick <= parameters.silence_ticks
+        if k != parameters.row and recent and mate.number > above:
+            count += 1
+    return count >= parameters.guards
 
 
 @compiled
-def _guards_heard(parameters: TeamParameters, memory: TeamMemory, tick: int) -> int:
-    """Return the number of team-mates that were certified guards within the silence."""
-    count = 0
-    for k in range(memory.mates.shape[0]):
-        last = memory.mates[k].guard_tick
-        if k != parameters.row and last >= 0 and tick - last <= parameters.silence_ticks:
-            count += 1
-    return count
+def is_released(parameters: TeamParameters, memory: TeamMemory, tick: int) -> bool:
+    """Return whether a guard may stop (R3).
+
+    A greater number alone is not enough: its UAV may have left with its charge exhausted.
+    """
+    return _hears_guards(parameters, memory, tick, memory.own[0].number)
 
 
 @compiled
@@ -109,17 +110,19 @@ def change_role(parameters: TeamParameters, memory: TeamMemory, number: int, tic
         if own.home and number == 0:
             own.role = SCOUT
     silence = parameters.silence_ticks
-    alone = _guards_heard(parameters, memory, tick) < parameters.guards
-    alone = alone or own.known_tick < 0 or tick - own.known_tick > silence
+    alone = own.known_tick < 0 or tick - own.known_tick > silence
+    alone = alone or not _hears_guards(parameters, memory, tick, -1)
+    free = AWAY if math.isfinite(own.charge) else SCOUT
     asked = own.asked_tick >= 0 and tick - own.asked_tick <= silence
     own.called = own.role in (SCOUT, RELIEF) and (asked or (own.called and own.role == RELIEF))
-    if own.role == GUARD and is_released(parameters, memory):
-        free = AWAY if math.isfinite(own.charge) else SCOUT
+    if own.role == GUARD and is_released(parameters, memory, tick):
         own.role = RELIEF if held else free
     elif own.role == SCOUT and (own.called or (alone and tick - own.since > silence)):
         own.role = RELIEF
+    elif own.role == AWAY and alone and own.spare > own.lead:
+        own.role = RELIEF
     elif own.role == RELIEF and not (alone or held or own.called):  # later calls may be lost
-        own.role = AWAY if math.isfinite(own.charge) else SCOUT
+        own.role = free
     if own.role == AWAY and own.home and own.charge >= parameters.endurance.endurance:
         own.role = SCOUT
     elif own.role in (RELIEF, GUARD) and own.spare <= 0.0:
@@ -153,8 +156,12 @@ def _measure_charge(
         far = norm(state.p_x - one.base_x, state.p_y - one.base_y)
         own.home = is_at_base(one, state)
         own.spare = charge - return_time(far, parameters.v_a, parameters.u_a) - RESERVE
-        out = reach_time(far, parameters.v_a, parameters.u_a, parameters.v_g)
-        own.lead = out + parameters.relief_time
+        v_a, u_a, v_g = parameters.v_a, parameters.u_a, parameters.v_g
+        wait = reach_time(far, v_a, u_a, v_g) + parameters.relief_time
+        # meanwhile the UGV may drive away, and the UAV fly to its far side
+        farther = min(far + v_g * wait + parameters.sight, parameters.farthest)
+        out = reach_time(farther, v_a, u_a, v_g) + parameters.relief_time
+        own.lead = out + max(0.0, farther - far) / v_a
 
 
 @compiled
@@ -210,6 +217,7 @@ def begin_tick(
 def _fly_to_ugv(
     own: OwnRole, state: State, v_a: float, u_a: float, dt: float
 ) -> tuple[float, float]:
+    """Return the acceleration to the newest known position of the UGV; without one, the UAV stops [m/s²]."""
     if own.known_tick < 0:
         u_x, u_y = servo(state, state.p_x, state.p_y, v_a, u_a, dt)
     else:

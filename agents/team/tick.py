@@ -39,7 +39,10 @@ def perceive_team(
     """
     if parameters is None:
         return filtered
-    one, own_memory, team = parameters[0], _any(memory), _any(inputs.team)
+    one = parameters[0]
+    own_memory: Any = memory
+    team: Any = inputs.team
+    changing: Any = uav
     begin_tick(one, own_memory, team, inputs, safety[0], filter_memory)
     for n in range(team.messages.shape[0]):
         hear_blocks(own_memory, team.messages[n])
@@ -47,15 +50,10 @@ def perceive_team(
         share_coverage(
             one, own_memory, coverage, inputs.own, inputs.tick, uav.cell, uav.desired_coverage
         )
-    own, changing = own_memory.own[0], _any(uav)
+    own = own_memory.own[0]
     changing.max_distance = one.scout_range if own.role == SCOUT else fixed.max_distance
     changing.switching_radius = one.scout_range if own.role == SCOUT else fixed.switching_radius
     return bool(own.filtered)
-
-
-@compiled
-def _any(value: Any) -> Any:  # noqa: ANN401 - numba infers the type
-    return value
 
 
 @compiled

@@ -56,6 +56,8 @@ class EscortTruth(Message, frozen=True, kw_only=True):
     """Distance |p_a - p_g| [m]."""
     sight_radius: NonNegative | None = None
     """Distance within which the UGV is visible [m], 0 while a building hides it; None: always r_v."""
+    teamed: bool = False
+    """True if the UAV belongs to a team, which sees the UGV if one of its UAVs does."""
     coverage_error: NonNegative
     """Coverage error e(t) of eq. (4) with the true p_g [m²]."""
     detection: Vector | None
@@ -241,7 +243,7 @@ class TeamStatus(Message, frozen=True, kw_only=True):
     team_out_of_sight: Tick
     """Ticks in which no UAV of a team saw its UGV."""
     team_certified_while_lost: Tick = 0
-    """Of these, ticks in which a guard was certified. Any but 0 disproves the guarantee."""
+    """Ticks in which a guard was certified, but no UAV of its team saw the UGV. Any but 0 disproves the guarantee."""
     team_certificate_broken: Tick = 0
     """Ticks in which a UAV with one of the largest stored numbers did not guard. Any but 0 disproves the guarantee."""
     handovers: Tick = 0

@@ -23,7 +23,7 @@ from outrider_mavlink.gateway import (
 )
 from outrider_mavlink.identity import MANUAL, MISSION, Moving, VehicleSystem
 from outrider_mavlink.udp import Network, Peer
-from sim.scene.altitude import sight_of
+from sim.scene.altitude import decisive, sight_of
 
 _RETRY = 1.0
 """Time between two requests for control of the same UGV [s]."""
@@ -93,7 +93,7 @@ class RunGateway(Gateway):
                 system.followed = None if system.flies else moving
         geometry = self._status.geometry
         radius = math.inf if geometry is None else geometry.visibility_radius
-        for escort in truth.escorts:
+        for escort in decisive(truth.escorts):
             ugv, sight = escort.ugv, sight_of(escort, radius)
             why = (
                 "hidden by a building"

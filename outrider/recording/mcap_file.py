@@ -20,7 +20,7 @@ from outrider.recording import schemas
 from outrider.recording.viewers import Viewers
 from sim.engine.briefing import all_buildings
 from sim.scenario.types import Scenario
-from sim.scene.altitude import sight_of
+from sim.scene.altitude import decisive, sight_of
 
 with needs("record"):
     import foxglove
@@ -175,11 +175,11 @@ class RecordingFile:
             }
             escorts = {escort.uav: escort.ugv for escort in truth.escorts}
             self._viewers.show(truth.time, places, escorts, time_ns)
-        for escort in truth.escorts:
-            sight = sight_of(escort, self._r_v)
-            if sight.lost != (escort.uav in self._lost):
-                self._lost ^= {escort.uav}
-                seen = escort.uav not in self._lost
+        for escort in decisive(truth.escorts):
+            sight, whose = sight_of(escort, self._r_v), escort.ugv if escort.teamed else escort.uav
+            if sight.lost != (whose in self._lost):
+                self._lost ^= {whose}
+                seen = whose not in self._lost
                 what = "sees {} again" if seen else "has lost sight of {}"
                 behind = ", behind a building" if sight.hidden else ""
                 self.log(

@@ -26,7 +26,7 @@ from agents.safety.levels import (
 from bus.messages.links import LinkKind
 from bus.messages.vehicle import UavBriefing
 from bus.numbers import above, exact
-from bus.registry import CAUTIONS, LAWS
+from bus.registry import CAUTIONS
 from bus.ticks import TICK_TOLERANCE
 from outrider.running.link_assumptions import (
     RARE,
@@ -98,7 +98,7 @@ def _assumption_warnings(scenario: Scenario, links: LinkTable | None) -> tuple[s
 
 def _perfect_detectors(scenario: Scenario) -> Iterator[str]:
     """Warn of each UAV whose certificate relies on detections without any error."""
-    if not LAWS[scenario.law.name].watched:
+    if not scenario.filtered:
         return
     for uav in scenario.uav:
         if safety_parameters(scenario, uav.name).max_measurement_error == 0.0:
@@ -119,7 +119,7 @@ def how_certifiable(scenario: Scenario) -> str | None:
     Returns:
         `always`, `not always`, `hardly ever` or `never` (for each UAV); None for laws without a safety filter.
     """
-    if not scenario.uav or not LAWS[scenario.law.name].watched:
+    if not scenario.uav or not scenario.filtered:
         return None
     found = shortfalls(scenario)
     if len({one.uav for one in found if one.frequency is Frequency.ALWAYS}) == len(scenario.uav):
@@ -140,7 +140,7 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
     Returns:
         Empty for laws without a safety filter. Shortfalls expected less than once in a million runs are left out.
     """
-    if not LAWS[scenario.law.name].watched:
+    if not scenario.filtered:
         return ()
     table, found = links or scenario.links, list[Shortfall]()
     for uav in scenario.uav:

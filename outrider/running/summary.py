@@ -18,7 +18,6 @@ from bus.messages.telemetry import (
     VehicleStatus,
 )
 from sim.models.vehicles import raw_switching_radius
-from sim.scenario.team import mates_of
 from sim.server.flight import Flight
 from sim.server.recorder import platform_row
 
@@ -179,15 +178,6 @@ def certificate_fields(status: CertificateStatus | None) -> dict[str, Any]:
     }
 
 
-def _observers(flight: Flight, rows: list[int]) -> list[list[int]]:
-    """Return the rows of UAVs in groups: a team sees its UGV if one of its UAVs does; others count for themselves."""
-    names = [uav.name for uav in flight.world.uavs]
-    groups: dict[tuple[str, ...], list[int]] = {}
-    for k in rows:
-        groups.setdefault(mates_of(flight.scenario, names[k]) or (names[k],), []).append(k)
-    return list(groups.values())
-
-
 def _uav_metrics(flight: Flight, rows: list[int]) -> dict[str, Any]:
     """Return the merged metrics of several UAVs, from their recorded states and reports.
 
@@ -200,16 +190,16 @@ def _uav_metrics(flight: Flight, rows: list[int]) -> dict[str, Any]:
     distance, error = recorded[:, :, 0], recorded[:, :, 1]
     pairs = world.escorts[rows]
     p_a, p_g = (recorder.states[:, pairs[:, k], :2] for k in (0, 1))
-    groups = _observers(flight, rows)
-    margins = [recorder.margins[:, group].max(axis=1).min() for group in groups]
-    lost = [recorder.lost[:, group].all(axis=1).sum() for group in groups]
+    together = len(rows) == len(world.uavs)
+    margins = recorder.widest_margins if together else recorder.margins[:, rows]
+    lost = recorder.unseen if together else recorder.lost[:, rows]
     radii = [switching_radius_of(flight, k) for k in rows]
     beyond = distance >= np.array([math.inf if r_s is None else r_s for r_s in radii])
     return {
         "max_distance": float(distance.max()) if distance.size else None,
         "mean_distance": _mean(distance),
-        "min_margin": float(min(margins)) if distance.size else None,
-        "visibility_violations": int(sum(lost)),
+        "min_margin": float(margins.min()) if distance.size else None,
+        "visibility_violations": int(lost.sum()),
         "switching_radius": next(iter(radii), None),
         "crossings": int((beyond[1:] & ~beyond[:-1]).sum()),
         "initial_error": _mean(error[0]),

@@ -18,7 +18,7 @@ from outrider.recording.refly import external_uavs, from_the_start, restore
 from outrider.view.flight_picture import draw_flight
 from sim.compiling.compile import FloatArray
 from sim.scenario.types import NO_UAV
-from sim.scene.altitude import altitudes_of, sight_of, worst_sight
+from sim.scene.altitude import altitudes_of, decisive, sight_of, worst_sight
 from sim.scene.colors import (
     BUILDINGS,
     COVERED,
@@ -274,7 +274,7 @@ class Film:
             coverage,
             estimates,
             time=truth.time,
-            sight=worst_sight(sight_of(escort, self._r_v) for escort in truth.escorts),
+            sight=worst_sight(sight_of(one, self._r_v) for one in decisive(truth.escorts)),
             hazards=hazards,
             altitudes=altitudes_of(truth.vehicles),
             hidden={escort.uav for escort in truth.escorts if escort.sight_radius == 0.0},

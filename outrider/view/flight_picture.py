@@ -151,7 +151,7 @@ def _shade_violations(axes: Axes, flight: Flight) -> None:
         times(flight),
         0.0,
         top,
-        where=flight.recorder.lost.any(axis=1).tolist(),
+        where=flight.recorder.unseen.any(axis=1).tolist(),
         color=style.LIMIT,
         alpha=0.12,
         linewidth=0.0,
@@ -287,19 +287,20 @@ class _Verdict(NamedTuple):
 
 def _verdict(flight: Flight) -> _Verdict | None:
     """Return the verdict on visibility; None without a UAV."""
-    distance = flight.recorder.escorts[:, :, 0]
-    if not distance.size:
+    recorder = flight.recorder
+    if not recorder.escorts.size:
         return None
-    r_v, farthest = flight.scenario.visibility.radius, float(distance.max())
-    reached, margin = f"largest distance {farthest:.2f} m", float(flight.recorder.margins.min())
-    heights = flight.recorder.heights
+    r_v, farthest = flight.scenario.visibility.radius, float(recorder.nearest.max())
+    whose = "largest distance" if flight.scenario.team is None else "nearest UAV within"
+    reached, margin = f"{whose} {farthest:.2f} m", float(recorder.widest_margins.min())
+    heights = recorder.heights
     if flight.scenario.has_altitude:
         lowest, highest = float(heights[:, :, 0].min()), float(heights[:, :, 0].max())
         span = "" if highest - lowest < _LEVEL else f"{lowest:.1f} to "
         reached += f"   ·   altitude {span}{highest:.1f} m"
     else:
         reached += f" of $r_v$ = {r_v:g} m"
-    dt, lost = flight.scenario.dt, int(flight.recorder.lost.any(axis=1).sum())
+    dt, lost = flight.scenario.dt, int(recorder.unseen.any(axis=1).sum())
     if not lost:
         return _Verdict(f"UGV always in sight, margin {margin:.2f} m", style.GOOD, reached)
     hidden = int((heights[:, :, 3] == 0.0).any(axis=1).sum()) if heights.shape[1] else 0

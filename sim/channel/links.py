@@ -25,13 +25,7 @@ from sim.compiling.compile import FloatArray, IntArray, compiled, constant
 from sim.compiling.records import RecordArray, fill, record_type
 from sim.models.randomness import Key
 
-PER_TICK = {
-    LinkKind.DETECTIONS: 1,
-    LinkKind.COMMANDS: 1,
-    LinkKind.OPERATOR: 64,
-    LinkKind.RADIO: 8,
-    LinkKind.TEAM: 1,
-}
+PER_TICK = dict.fromkeys(LinkKind, 1) | {LinkKind.OPERATOR: 64, LinkKind.RADIO: 8}
 """Capacity of a link [messages per tick]; a UAV radios at most five."""
 _COUNTERS = ("sent", "delivered", "duplicated", "queued", "in_transit")
 """Counters common to a link's record and its status."""

@@ -25,7 +25,7 @@ class TeamCounters:
     certified_while_lost: int
     """Ticks in which a guard was certified although no UAV of the team saw the UGV."""
     broken: int
-    """Ticks in which a UAV with one of the g largest numbers reported another role than that of a guard."""
+    """Ticks in which a UAV with one of the g largest numbers reported a role other than guard."""
     handovers: int
     """Changes of the UAV with the largest number."""
     left: int

@@ -1,7 +1,10 @@
 """Endurance of a UAV: the flight time that is left, and the time that a way takes."""
 
+import math
 from typing import NamedTuple
 
+from bus.messages.base import Vector
+from bus.messages.scenario import Area
 from sim.compiling.compile import compiled
 from sim.models.vehicles import State, norm
 
@@ -41,6 +44,12 @@ def next_charge(parameters: EnduranceParameters, charge: float, state: State, dt
         gained = dt * parameters.endurance / parameters.charge_time
         return min(parameters.endurance, charge + gained)
     return max(0.0, charge - dt)
+
+
+def farthest_in_area(base: Vector, area: Area) -> float:
+    """Return the largest distance from a base within an area [m]."""
+    x, y = base
+    return math.hypot(max(x, area.width - x), max(y, area.height - y))
 
 
 @compiled

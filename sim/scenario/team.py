@@ -10,7 +10,7 @@ from bus.messages.base import or_infinite
 from bus.messages.team import MOST_UAVS, Endurance, Team
 from bus.numbers import at_least, at_most, exact
 from sim.input.faults import Fault
-from sim.models.endurance import CERTIFYING, RESERVE, reach_time, return_time
+from sim.models.endurance import CERTIFYING, RESERVE, farthest_in_area, reach_time, return_time
 from sim.scenario.safety import safety_parameters
 from sim.scenario.types import Scenario, Uav
 
@@ -27,9 +27,17 @@ def mates_of(scenario: Scenario, uav: str) -> tuple[str, ...]:
 
 def teams_of(scenario: Scenario) -> tuple[tuple[str, ...], ...]:
     """Return the teams, by their UAVs in name order; empty without `[team]`."""
-    return tuple(
-        dict.fromkeys(mates for uav in scenario.uav if (mates := mates_of(scenario, uav.name)))
-    )
+    mates = (mates_of(scenario, uav.name) for uav in scenario.uav)
+    return tuple(dict.fromkeys(team for team in mates if team))
+
+
+def observer_rows(scenario: Scenario) -> tuple[list[int], ...]:
+    """Return the rows of the UAVs that observe together: those of a team, and each UAV without one."""
+    names = sorted(uav.name for uav in scenario.uav)
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for row, name in enumerate(names):
+        groups.setdefault(mates_of(scenario, name) or (name,), []).append(row)
+    return tuple(groups.values())
 
 
 def leash(
@@ -92,8 +100,7 @@ class Watch(NamedTuple):
 
 def watch_of(scenario: Scenario, uav: Uav) -> Watch:
     """Return the times of a UAV with an endurance, for the point of the area that is farthest from its base."""
-    (x, y), area = uav.base or uav.position, scenario.area
-    distance = math.hypot(max(x, area.width - x), max(y, area.height - y))
+    distance = farthest_in_area(uav.base or uav.position, scenario.area)
     ugv = next(one for one in scenario.ugv if one.name == uav.escorts)
     v_a, u_a, silence = (
         uav.max_speed,

@@ -16,7 +16,7 @@ from bus.messages.ground import DEFAULT_SHARE, Hazard
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Area, Estimator, Law, Origin, Region, ScriptStep, Sensor
 from bus.messages.team import Team
-from bus.registry import CAUTIONS, DEFAULT_DRIVER, HAZARDS
+from bus.registry import CAUTIONS, DEFAULT_DRIVER, HAZARDS, LAWS
 from sim.channel.recorded import RecordedLink
 from sim.models.inner_loop import InnerLoop
 from sim.models.vehicles import raw_switching_radius
@@ -347,6 +347,11 @@ class Scenario(Table, frozen=True, kw_only=True):
     def vehicles(self) -> tuple[Uav | Ugv, ...]:
         """Return all vehicles in name order, the order of every array."""
         return tuple(sorted((*self.uav, *self.ugv), key=lambda vehicle: vehicle.name))
+
+    @property
+    def filtered(self) -> bool:
+        """True if a safety filter acts: the law has one, or the UAVs form teams, whose guards have one."""
+        return self.team is not None or LAWS[self.law.name].watched
 
     @property
     def disturbed(self) -> bool:

@@ -1,7 +1,7 @@
 """Parts of a scene that depend on the UAVs' altitudes: radii, hidden ground, and the line of sight."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +51,16 @@ def worst_sight(pairs: Iterable[tuple[float, float]]) -> Sight | None:
 def sight_of(escort: EscortTruth, r_v: float) -> Sight:
     """Return distance and radius of sight of a pair; `r_v`: the radius in the plane [m], infinite if unknown."""
     return Sight(escort.distance, r_v if escort.sight_radius is None else escort.sight_radius)
+
+
+def decisive(escorts: Sequence[EscortTruth]) -> tuple[EscortTruth, ...]:
+    """Return the pairs on which sight depends: of each team its nearest UAV, and every UAV without a team."""
+    nearest: dict[str, EscortTruth] = {}
+    for escort in escorts:
+        key = escort.ugv if escort.teamed else f"{escort.ugv}/{escort.uav}"
+        if key not in nearest or escort.distance < nearest[key].distance:
+            nearest[key] = escort
+    return tuple(nearest.values())
 
 
 def altitudes_of(vehicles: Mapping[str, VehicleTruth]) -> dict[str, float]:

@@ -359,6 +359,7 @@ class Flight:
                     ugv=uav.escorts,
                     distance=measures[k][0],
                     sight_radius=radii[k] if radii else None,
+                    teamed=self.scenario.team is not None,
                     coverage_error=max(0.0, measures[k][1]),
                     detection=tuple(detections[k])
                     if detections[k][0] == detections[k][0]

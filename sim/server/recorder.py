@@ -4,9 +4,10 @@ import csv
 import hashlib
 import math
 import platform
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,7 @@ from sim.engine.monitor import NEVER, ArrivalRecord
 from sim.engine.world_state import BatchState, BatchTables
 from sim.engine.world_tick import measure
 from sim.models.sight import is_lost, sight_margin
+from sim.scenario.team import observer_rows
 from sim.world import World
 
 _ROOM = 16_384
@@ -250,6 +252,26 @@ class Recorder:
         Positive exactly while it is in sight. Shape (rows, UAVs).
         """
         return sight_margin(self.escorts[:, :, 0], self.radii)
+
+    def _observed(self, values: npt.NDArray[Any], merge: Callable[..., Any]) -> npt.NDArray[Any]:
+        """Merge the columns of the UAVs of each team. Shapes (rows, UAVs), (rows, observers)."""
+        columns = [merge(values[:, rows], axis=1) for rows in observer_rows(self._world.scenario)]
+        return np.stack(columns, axis=1) if columns else values
+
+    @property
+    def nearest(self) -> FloatArray:
+        """Return the distance of the nearest UAV of each team, and of each UAV without one [m]."""
+        return self._observed(self.escorts[:, :, 0], np.min)
+
+    @property
+    def unseen(self) -> npt.NDArray[np.bool_]:
+        """Return whether no UAV of a team, or a UAV without one, saw its UGV. Shape (rows, observers)."""
+        return self._observed(self.lost, np.all)
+
+    @property
+    def widest_margins(self) -> FloatArray:
+        """Return the largest margin within each team, and that of each UAV without one [m]."""
+        return self._observed(self.margins, np.max)
 
     def sha256(self, ticks: int | None = None) -> str:
         """Return the hash of the trajectory over the first `ticks` complete ticks (all by default).

@@ -38,7 +38,7 @@ class TeamRadio:
         self._stored: dict[str, list[tuple[int, int]]] = {name: [(-1, 0)] for name in names}
         self._arrived: tuple[int, dict[str, list[TeamMessage]]] = (-1, {})
         self.refused = dict.fromkeys(names, 0)
-        """Messages of each UAV that were not sent: wrong sender, tick, number or rate."""
+        """Messages of each UAV that were not sent: wrong sender, tick, number, rate, measurement or request."""
         self._endurances = {
             uav.name: EnduranceParameters(one.endurance, one.charge_time, *one.base)
             for uav in world.uavs
@@ -91,15 +91,25 @@ class TeamRadio:
         message = command.team
         if message is None:
             return
-        given = message.sender, message.tick, message.number <= self.number(name)
-        early = command.tick < self._last[name] + self._period
-        if given != (name, command.tick, True) or early or len(mates) < 2:
+        if not self._is_valid(name, command.tick, message):
             self.refused[name] += 1
             return
         self._last[name] = command.tick
         self.octets[name] += len(msgspec.json.encode(message))
         links = self._world.links
         links.send_object(self._rows[name], tick + 1, message, command.tick)
+
+    def _is_valid(self, name: str, tick: int, message: TeamMessage) -> bool:
+        """Return whether a UAV's message of a tick may be sent: its receivers rely on what is checked here."""
+        mates = self._mates[name]
+        return (
+            message.sender == name
+            and len(mates) > 1
+            and message.tick == tick >= self._last[name] + self._period
+            and message.number <= self.number(name)
+            and (message.measured is None or message.measured <= tick)
+            and (message.asks is None or message.asks in mates)
+        )
 
     def received(self, name: str, tick: int) -> tuple[TeamMessage, ...]:
         """Return the messages of a UAV's team-mates that arrive at this tick."""

@@ -28,7 +28,7 @@ function show(row, value, { text = null, unit = row.unit, note = "", bad = false
 
 // Return the pairs on which sight depends: all, or of each team the nearest UAV.
 function decisivePairs(escorts, truth, distances) {
-  const isInTeam = (k) => truth && truth.escorts[k] && truth.escorts[k].report && truth.escorts[k].report.role;
+  const isInTeam = (k) => truth && truth.escorts[k] && truth.escorts[k].teamed;
   const all = escorts.map((_, k) => k);
   const nearest = (k) => all.every((other) => escorts[other][1] !== escorts[k][1] || distances[k] < distances[other] || other === k);
   return all.some(isInTeam) ? all.filter(nearest) : all;

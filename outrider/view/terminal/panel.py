@@ -14,6 +14,7 @@ from outrider.view.operator import SILENCE
 from outrider.view.terminal.palette import ALARM, EDGE, FAINT, GOOD, INK, LIMIT, UAV, UGV
 from outrider.view.terminal.teleoperation import DriveView
 from sim.models.sight import is_lost, sight_margin
+from sim.scene.altitude import decisive
 
 WIDTH = 36
 """Width of the panel [cells]."""
@@ -50,14 +51,15 @@ class Banner(NamedTuple):
     ground: str
 
 
-def decisive(view: DriveView, vehicle: str) -> EscortTruth | None:
-    """Return the escort on which sight of a UGV depends: the farthest, or the nearest of a team; None if unknown."""
+def farthest(view: DriveView, vehicle: str) -> EscortTruth | None:
+    """Return the escort of a UGV that is farthest away, of a team its nearest UAV; None if unknown."""
     if view.truth is None:
         return None
-    escorts = [escort for escort in view.truth.escorts if escort.ugv == vehicle]
-    roles = view.status.roles if view.status is not None else {}
-    choose = min if any(escort.uav in roles for escort in escorts) else max
-    return choose(escorts, key=lambda one: one.distance, default=None)
+    return max(
+        (escort for escort in decisive(view.truth.escorts) if escort.ugv == vehicle),
+        key=lambda one: one.distance,
+        default=None,
+    )
 
 
 def banner(view: DriveView, vehicle: str, *, leaving: bool) -> Banner:
@@ -118,7 +120,7 @@ def _total(status: Status) -> str:
 def numbers(view: DriveView, vehicle: str, history: ErrorCurve) -> Text:
     """Return the panel of numbers."""
     text = Text(no_wrap=True, style=INK)
-    escort = decisive(view, vehicle)
+    escort = farthest(view, vehicle)
     _distance(text, view, escort)
     _team(text, view)
     _coverage(text, escort, history)

@@ -14,7 +14,7 @@ from textual.widgets import Static
 
 from outrider.view.terminal.canvas import Canvas
 from outrider.view.terminal.palette import BACKGROUND, FAINT, INK, PANEL
-from outrider.view.terminal.panel import WIDTH, ErrorCurve, banner, decisive, numbers, title
+from outrider.view.terminal.panel import WIDTH, ErrorCurve, banner, farthest, numbers, title
 from outrider.view.terminal.pressed_keys import Heading
 from outrider.view.terminal.teleoperation import DriveLink, DriveView
 from outrider.view.terminal.topview import Trails, draw
@@ -129,7 +129,7 @@ class DriveApp(App[int]):
     def _store(self, view: DriveView) -> None:
         if view.truth is not None:
             self._trails.follow(view.truth)
-            escort = decisive(view, self._link.vehicle)
+            escort = farthest(view, self._link.vehicle)
             if escort is not None and math.isfinite(escort.coverage_error):
                 self._history.add(view.truth.time, escort.coverage_error)
 
