@@ -11,7 +11,7 @@ from bus.messages.team import BLOCK_CELLS, MOST_COVERAGE_BLOCKS, Role
 from bus.messages.vehicle import UavBriefing, UavObservation
 from bus.ticks import NO_TICK, DetectionRow, detection_array
 from sim.compiling.compile import FloatArray, IntArray
-from sim.compiling.records import RecordArray, record_type
+from sim.compiling.records import RecordArray, code, record_type
 from sim.models.altitude import VerticalState
 from sim.models.trajectories import NO_TRAJECTORY
 from sim.models.vehicles import State
@@ -67,13 +67,15 @@ class ReceivedMessage:
 
 
 class TeamInputs(NamedTuple):
-    """Stored number of a UAV, and its team-mates' messages of a tick."""
+    """Stored number of a UAV, its team-mates' messages and an operator's request of a tick."""
 
     number: int
     charge: float
     """Flight time left [s]; infinite: unlimited."""
     messages: RecordArray
     """`ReceivedMessage`. Shape (messages,)."""
+    request: int
+    """Code of an operator's `Request`; 0: none."""
 
 
 class UavInputs(NamedTuple):
@@ -153,4 +155,9 @@ def team_inputs(briefing: UavBriefing, observation: UavObservation) -> TeamInput
         for k, block in enumerate(message.blocks):
             row["blocks"][k] = block.row * across + block.column
             row["cells"][k] = np.frombuffer(block.cells, np.uint8)
-    return TeamInputs(observation.number, or_infinite(observation.charge), rows)
+    return TeamInputs(
+        number=observation.number,
+        charge=or_infinite(observation.charge),
+        messages=rows,
+        request=code(observation.request) if observation.request else 0,
+    )

@@ -14,14 +14,16 @@ import numpy as np
 
 from agents.team.records import (
     AWAY,
+    CALL,
     GUARD,
     RELIEF,
+    RELIEVE,
     SCOUT,
     TeamMemory,
     team_memory,
     team_parameters,
 )
-from agents.team.roles import accept, change_role, hear
+from agents.team.roles import accept, ask, change_role, hear, receive_request
 from agents.uav_inputs import ReceivedMessage
 from bus.messages.team import MOST_UAVS, Endurance
 from bus.ticks import NO_TICK
@@ -94,7 +96,9 @@ class _Adversary(NamedTuple):
     forgets: float
     """A process does not know whether its last commands were sent."""
     asks: float
-    """A message asks its receiver for relief."""
+    """A message asks its receiver for relief, whatever its sender says."""
+    requests: float
+    """An operator requests a UAV to come or to be relieved."""
     late: int
     """Largest delay of a command [ticks]."""
     delay: int
@@ -138,7 +142,7 @@ class _Team(NamedTuple):
     memory: TeamMemory
     """Memories of all UAVs; the rules do not use the maps. Shape of `mates`: (UAVs, UAVs)."""
     commands: IntArray
-    """Number, certified, tick of the measurement and role of each command. Shape (UAVs, ticks, 4)."""
+    """Number, certified, tick of the measurement, role, and UAV asked by each command. Shape (UAVs, ticks, 5)."""
     loss: FloatArray
     """Probability of loss, by receiver and sender. Shape (UAVs, UAVs)."""
 
@@ -147,7 +151,10 @@ class _Air(NamedTuple):
     """Messages in transit."""
 
     rows: IntArray
-    """Receiver, sender, tick, number, certified, tick of the measurement, and UAV asked. Shape (slots, messages, 7)."""
+    """Receiver, sender, tick, number, certified, tick of the measurement, UAV asked, role.
+
+    Shape (slots, messages, 8).
+    """
     waiting: IntArray
     """Number of messages by slot: that of a tick of arrival, modulo the slots. Shape (slots,)."""
     message: RecordArray
@@ -200,7 +207,7 @@ def _make_team(
     maps = new.track, new.heard, new.sent, new.sent_tick, new.repeats, new.coverage
     memory = TeamMemory(own, mates, *maps)
     loss = 0.98 * rng.random((n, n)) ** (3.0 * rng.random())
-    commands = np.zeros((n, TICKS, 4), np.int64)
+    commands = np.zeros((n, TICKS, 5), np.int64)
     team = _Team(np.zeros(n, _UAV), parameters, memory, commands, loss)
     for i in range(n):
         _start_process(team, new, i)
@@ -239,11 +246,12 @@ def _lose_and_return(
 def _receive(team: _Team, air: _Air, tick: int) -> None:
     slot = tick % _SLOTS
     for k in range(air.waiting[slot]):
-        i, sender, sent, number, certified, measured, asks = air.rows[slot, k]
+        i, sender, sent, number, certified, measured, asks, role = air.rows[slot, k]
         uav, message = team.uavs[i], air.message[0]
         if uav.alive:
             message.sender, message.tick, message.number = sender, sent, number
             message.certified, message.measured, message.asks = certified != 0, measured, asks
+            message.ready, message.charge = (2 if role == RELIEF else int(role == SCOUT)), 1.0
             hear(_memory(team, i), i, message)
             uav.largest = max(uav.largest, number)
             uav.heard += 1 if number > uav.stored else 0
@@ -288,7 +296,12 @@ def _act(adversary: _Adversary, team: _Team, i: int, tick: int, rng: np.random.G
         own.charge = _ENDURANCE if rng.random() < adversary.rests else 1.0
     if adversary.protocol and _stops_wrongly(adversary, team, i, tick, rng):
         own.role = SCOUT
+    request = 0
+    if rng.random() < adversary.requests:
+        request = CALL if rng.random() < 0.5 else RELIEVE
+    receive_request(memory, request, tick)
     change_role(parameters, memory, uav.stored, tick)
+    ask(parameters, memory)
     if own.role == AWAY and uav.exhausted:
         uav.exhausted, uav.excused, uav.owed = False, True, False
     uav.wished = uav.wished or rng.random() < adversary.wish
@@ -305,6 +318,7 @@ def _act(adversary: _Adversary, team: _Team, i: int, tick: int, rng: np.random.G
     command = team.commands[i, tick]
     command[0], command[1], command[2] = own.number, own.certified, own.own_tick
     command[3] = 0 if rng.random() < adversary.unstored else own.role
+    command[4] = own.asks
     return not accepts or own.number > max(number, uav.largest)
 
 
@@ -320,7 +334,7 @@ def _send(
     if answered <= uav.newest:
         return False
     uav.newest = answered
-    number, certified, measured, role = team.commands[i, answered]
+    number, certified, measured, role, asks = team.commands[i, answered]
     if role == 0:
         return False
     new = bool(number > uav.stored)
@@ -338,7 +352,7 @@ def _send(
             row = air.rows[slot, air.waiting[slot]]
             row[0], row[1], row[2] = j, i, answered
             row[3], row[4], row[5] = number, certified, measured
-            row[6] = j if rng.random() < adversary.asks else -1
+            row[6], row[7] = j if rng.random() < adversary.asks else asks, role
             air.waiting[slot] += 1
     return new
 
@@ -413,7 +427,7 @@ def _runs(
     late: int,
     forgets: bool,
 ) -> IntArray:
-    rows, waiting = np.zeros((_SLOTS, _WAITING, 7), np.int64), np.zeros(_SLOTS, np.int64)
+    rows, waiting = np.zeros((_SLOTS, _WAITING, 8), np.int64), np.zeros(_SLOTS, np.int64)
     air, sums = _Air(rows, waiting, np.zeros(1, _MESSAGE)), np.zeros(7, np.int64)
     for _ in range(total):
         adversary = _Adversary(
@@ -430,6 +444,7 @@ def _runs(
             0.3 * max(0.0, 2.0 * rng.random() - 1.0),  # unstored
             0.3 * max(0.0, 2.0 * rng.random() - 1.0) if forgets else 0.0,
             0.2 * max(0.0, 2.0 * rng.random() - 1.0),  # asks
+            0.2 * max(0.0, 2.0 * rng.random() - 1.0),  # requests
             late,
             int(rng.integers(1, LATEST + 1)),  # delay
             0.5 * rng.random(),  # twice

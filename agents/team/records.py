@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.uav_inputs import ByteArray
-from bus.messages.team import BLOCK_CELLS, CoverageBlock, Role
+from bus.messages.team import BLOCK_CELLS, CoverageBlock, Request, Role
 from bus.messages.vehicle import UavBriefing
 from bus.ticks import NO_TICK, team_ticks, ticks_within
 from sim.compiling.compile import FloatArray, IntArray
@@ -15,6 +15,8 @@ from sim.compiling.records import RecordArray, code, record_type, records
 from sim.models.endurance import CERTIFYING, EnduranceParameters, farthest_in_area
 
 SCOUT, RELIEF, GUARD, AWAY = map(code, Role)
+CALL, RELIEVE = map(code, Request)
+"""Codes of an operator's requests: come and guard; be relieved."""
 
 
 class TeamParameters(NamedTuple):
@@ -83,7 +85,11 @@ class OwnRole:
     asked_tick: int
     """Tick of the newest request to relieve a guard; NO_TICK: none."""
     called: bool
-    """True while it relieves a guard that has asked it."""
+    """True while it relieves a guard that has asked it, or follows an operator's call."""
+    awaited: bool
+    """True from an operator's call until its charge lasts for a relief."""
+    leaving: bool
+    """True for a guard that is to be relieved at an operator's request."""
     asks: int
     """Row of the team-mate that it asks for relief; -1: none."""
     charge: float

@@ -14,8 +14,10 @@ from agents.safety.memory import FilterMemory, reset_memory
 from agents.safety.trajectories import servo
 from agents.team.records import (
     AWAY,
+    CALL,
     GUARD,
     RELIEF,
+    RELIEVE,
     SCOUT,
     OwnRole,
     TeamMemory,
@@ -87,6 +89,28 @@ def is_released(parameters: TeamParameters, memory: TeamMemory, tick: int) -> bo
 
 
 @compiled
+def receive_request(memory: TeamMemory, request: int, tick: int) -> None:
+    """Record an operator's request; called before `change_role`.
+
+    It has the effect of a team-mate's request or of a low charge: it may add a guard, and never ends a watch.
+
+    Args:
+        memory: Memory of the UAV, changed in place.
+        request: Code of a `Request`; 0: none.
+        tick: Current tick.
+    """
+    own = memory.own[0]
+    if request == CALL:
+        own.awaited = True
+    elif request == RELIEVE:
+        own.leaving = True
+    if own.awaited and (own.role != AWAY or own.spare > own.lead):
+        own.awaited, own.asked_tick = False, tick
+        if own.role == AWAY:
+            own.role = SCOUT
+
+
+@compiled
 def change_role(parameters: TeamParameters, memory: TeamMemory, number: int, tick: int) -> None:
     """Change the role by the stored number and by what has been heard.
 
@@ -130,14 +154,15 @@ def change_role(parameters: TeamParameters, memory: TeamMemory, number: int, tic
 
 
 @compiled
-def _ask(parameters: TeamParameters, memory: TeamMemory) -> None:
-    """Ask a team-mate for relief, if this guard's charge lasts only for that.
+def ask(parameters: TeamParameters, memory: TeamMemory) -> None:
+    """Ask a team-mate for relief, if this guard's charge lasts only for that or an operator wants it relieved.
 
     One that is on its way already is asked again; else the scout with the largest charge.
     """
     own, most, best = memory.own[0], 0, 0.0
     own.asks = -1
-    if own.role == GUARD and own.spare <= own.lead:
+    own.leaving = own.leaving and own.role == GUARD
+    if own.role == GUARD and (own.leaving or own.spare <= own.lead):
         for k in range(memory.mates.shape[0]):
             mate = memory.mates[k]
             better = mate.ready > most or (mate.ready == most and mate.charge > best)
@@ -204,8 +229,9 @@ def begin_tick(
         hear(memory, parameters.row, team.messages[n])
     detected = _record_own(memory, inputs)
     _measure_charge(parameters, memory, team.charge, inputs.own)
+    receive_request(memory, team.request, inputs.tick)
     change_role(parameters, memory, team.number, inputs.tick)
-    _ask(parameters, memory)
+    ask(parameters, memory)
     if own.role in (SCOUT, AWAY):
         own.filtered = own.certified = False
     elif not own.filtered and detected and inputs.tick - own.own_tick <= safety.max_age_ticks:

@@ -8,6 +8,7 @@ from msgspec import Meta
 from bus.messages.base import Message, Name, Seed, Text, Tick
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Law
+from bus.messages.team import Request
 
 
 class Action(StrEnum):
@@ -21,6 +22,7 @@ class Action(StrEnum):
     LAW = "law"
     DRIVER = "driver"
     LINK = "link"
+    REQUEST = "request"
 
 
 class Control(Message, frozen=True, kw_only=True):
@@ -37,7 +39,7 @@ class Control(Message, frozen=True, kw_only=True):
     law: Law | None = None
     """LAW: new control law of the UAVs."""
     vehicle: Name | None = None
-    """DRIVER: the UGV; LINK: the vehicle; None: all."""
+    """DRIVER: the UGV; LINK: the vehicle; None: all. REQUEST: the UAV."""
     driver: Name | None = None
     """DRIVER: new driver."""
     operator: Name | None = None
@@ -46,6 +48,8 @@ class Control(Message, frozen=True, kw_only=True):
     """LINK: kind of the link."""
     settings: LinkSettings | None = None
     """LINK: new settings."""
+    request: Request | None = None
+    """REQUEST: request to a UAV of a team."""
 
     def in_words(self) -> str:
         """Return a short description of the request for the user."""
@@ -59,6 +63,8 @@ class Control(Message, frozen=True, kw_only=True):
                 changed = [f"{name} {value}" for name, value in settings.changes().items()]
                 whose = self.vehicle or "every vehicle"
                 return f"link {self.link} of {whose}: {', '.join(changed) or 'perfect'}"
+            case Action.REQUEST:
+                return f"request {self.request} to {self.vehicle}"
             case Action.SPEED:
                 factor = self.factor
                 return "lockstep" if factor is None else f"{factor:g} times real time"

@@ -35,6 +35,15 @@ class Role(StrEnum):
     """It flies to its base, or charges there."""
 
 
+class Request(StrEnum):
+    """Request of an operator to a UAV of a team; it has the effect of a team-mate's or of a low charge."""
+
+    GUARD = "GUARD"
+    """Come and guard: the UAV becomes RELIEF, as if a guard had asked it; away, once its charge lasts for a relief."""
+    RELIEF = "RELIEF"
+    """Be relieved: a guard asks a team-mate for relief until it is released, as with a low charge."""
+
+
 class Team(Message, frozen=True, kw_only=True):
     """Cooperation of the UAVs that escort the same UGV."""
 

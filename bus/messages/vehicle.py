@@ -40,7 +40,7 @@ from bus.messages.scenario import (
     ScriptStep,
     Sensor,
 )
-from bus.messages.team import Endurance, Role, Team, TeamMessage
+from bus.messages.team import Endurance, Request, Role, Team, TeamMessage
 
 MOST_CARRIED = 6
 """Maximum number of backup trajectories in one command: its own and earlier ones that have not started. It keeps a
@@ -228,6 +228,8 @@ class UavObservation(VehicleObservation, frozen=True, kw_only=True):
     """Flight time that it has left [s]; None: unlimited."""
     number: Tick = 0
     """Its number in the team, as it was stored last; it survives the process. 0: none."""
+    request: Request | None = None
+    """Request of an operator at this tick; None: none."""
 
 
 class Teleoperation(Message, frozen=True, kw_only=True):

@@ -67,6 +67,11 @@ def _news_in(received: Mapping[str, News], tick: int) -> Iterator[_Received | Ch
             yield Change(
                 tick=tick, control=Control(action=Action.DRIVER, vehicle=name, driver=news.driver)
             )
+        if news.request is not None:
+            yield Change(
+                tick=tick,
+                control=Control(action=Action.REQUEST, vehicle=name, request=news.request),
+            )
         if news.law is not None and news.law not in laws:  # one change applies to all UAVs
             laws.append(news.law)
             yield Change(tick=tick, control=Control(action=Action.LAW, law=news.law))

@@ -113,7 +113,7 @@ class Summary(UavMetrics, frozen=True, kw_only=True):
     processes: list[Process] = []
 
 
-_TRAJECTORY_ACTIONS = (Action.LAW, Action.DRIVER, Action.LINK)
+_TRAJECTORY_ACTIONS = (Action.LAW, Action.DRIVER, Action.LINK, Action.REQUEST)
 """Operator actions that change a trajectory."""
 
 

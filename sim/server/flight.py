@@ -15,6 +15,7 @@ from bus.messages.control import Action, Change, Control
 from bus.messages.ground import MapUpdate
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Law
+from bus.messages.team import Request
 from bus.messages.telemetry import EscortTruth, Status, Truth, VehicleTruth
 from bus.messages.vehicle import (
     BackupTrajectory,
@@ -34,6 +35,7 @@ from sim.server.perception import News, Perception, UavPerception, UgvPerception
 from sim.server.radio import Radio
 from sim.server.recorder import Recorder
 from sim.server.team_radio import TeamRadio
+from sim.server.team_requests import check_request
 from sim.world import World
 
 
@@ -177,6 +179,15 @@ class Flight:
         for uav in self.world.uavs:
             self.perceptions[uav.name].news_now().law = law
             self.answers.assurance.excuse(self._uav_row[uav.name])
+
+    def request(self, uav: str, request: Request) -> None:
+        """Send an operator's request to a UAV of a team with its next observation.
+
+        Raises:
+            ScenarioError: If the UAV has no team, or cannot do this in its role.
+        """
+        check_request(self.scenario, uav, request, self.answers.roles().get(uav))
+        self.perceptions[uav].news_now().request = request
 
     def rejoin(self, name: str) -> None:
         """Handle a vehicle's process that has rejoined: its new pilot knows only the past that it receives."""

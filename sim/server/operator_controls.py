@@ -137,6 +137,11 @@ class OperatorControls:
                     raise ScenarioError("link, settings: missing; both are required")
                 self._flight.degrade(control.link, control.vehicle, control.settings)
 
+            case Action.REQUEST:
+                if control.vehicle is None or control.request is None:
+                    raise ScenarioError("vehicle, request: missing; both are required")
+                self._flight.request(control.vehicle, control.request)
+
     def _law(self, control: Control) -> None:
         if control.law is None:
             raise ScenarioError("law: missing; a law is required")

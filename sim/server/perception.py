@@ -13,7 +13,7 @@ from bus.messages.buildings import Building
 from bus.messages.ground import MapUpdate, TileReport
 from bus.messages.links import LinkKind
 from bus.messages.scenario import Law
-from bus.messages.team import TeamMessage
+from bus.messages.team import Request, TeamMessage
 from bus.messages.vehicle import (
     Detection,
     Observation,
@@ -34,6 +34,7 @@ class News:
     operator: tuple[Teleoperation, ...] = ()
     driver: str | None = None
     law: Law | None = None
+    request: Request | None = None
 
 
 _NO_NEWS = News()
@@ -201,6 +202,7 @@ class UavPerception(Perception):
             team=self._messages.get(tick, ()) if known else (),
             charge=self._team.charge(self.name, tick),
             number=self._team.number(self.name, tick),
+            request=news.request,
         )
 
 
