@@ -16,9 +16,11 @@ from agents.laws.selection import SelectedLaw
 from agents.safety.altitude import Acceleration
 from agents.safety.safety_filter import SafetyFilter
 from agents.team.member import TeamMember
+from agents.team.messages import team_inputs
 from agents.team.records import team_memory
+from agents.team.tick import law_coverage
 from agents.uav_constants import uav_constants
-from agents.uav_inputs import KnownBuildings, UavInputs, team_inputs, uav_inputs
+from agents.uav_inputs import KnownBuildings, UavInputs, uav_inputs
 from agents.uav_parameters import uav_parameters
 from agents.uav_tick import (
     UavMemory,
@@ -180,7 +182,7 @@ class UavPilot:
         number, message = 0, None
         if team is not None:
             team.accept(decision)
-            number, message = team.number, team.message(observation, self.coverage)
+            number, message = team.number, team.message(inputs, self.coverage)
         estimate = self._estimate
         if estimate is None:
             return UavCommand(
@@ -250,7 +252,9 @@ class UavPilot:
             elapsed=0 if before is None else tick - before,
             vertical=self._vertical,
             buildings=self._buildings,
-            team=team_inputs(self._briefing, observation),
+            team=team_inputs(
+                self._briefing, observation, 0 if self._policy is None else self._policy.request
+            ),
         )
 
     def _select_law(self, law: Law) -> None:
@@ -299,7 +303,10 @@ class UavPilot:
         if self._vertical is not None:
             policy.sensor = SensorParameters(*self._memory.uav[0]["sensor"].tolist())
             policy.occlusion = occlusion_of(inputs)
-        return policy.acceleration(observation, self._policy_estimate(), self.coverage)
+        if self.team is not None:
+            policy.team = self.team.row(inputs, self._dt, policy.never)
+        coverage = law_coverage(self._memory.team, self.coverage)
+        return policy.acceleration(observation, self._policy_estimate(), coverage)
 
     def _policy_estimate(self) -> TargetEstimate:
         s = self.estimator.target

@@ -6,18 +6,16 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from bus.messages.base import or_infinite
-from bus.messages.team import BLOCK_CELLS, MOST_COVERAGE_BLOCKS, Role
-from bus.messages.vehicle import UavBriefing, UavObservation
-from bus.ticks import NO_TICK, DetectionRow, detection_array
+from bus.messages.team import BLOCK_CELLS, MOST_COVERAGE_BLOCKS
+from bus.messages.vehicle import UavObservation
+from bus.ticks import DetectionRow, detection_array
 from sim.compiling.compile import FloatArray, IntArray
-from sim.compiling.records import RecordArray, code, record_type
+from sim.compiling.records import RecordArray
 from sim.models.altitude import VerticalState
 from sim.models.trajectories import NO_TRAJECTORY
 from sim.models.vehicles import State
 
 ByteArray = npt.NDArray[np.uint8]
-_READY = {Role.SCOUT: 1, Role.RELIEF: 2}
 _NO_DETECTIONS: FloatArray = np.zeros((0, len(DetectionRow._fields)))
 DETECTION: Any = DetectionRow._make(range(3))
 """Columns of an array of detections."""
@@ -39,16 +37,16 @@ class KnownBuildings(NamedTuple):
     """Tick in which the UAV discovered a building; -1: it did not. Shape (buildings,)."""
 
 
-class ReceivedMessage:
-    """A team-mate's message for compiled code."""
+class TeamPacket:
+    """A team message for compiled code, see `bus.messages.team.TeamMessage`."""
 
     sender: int
     """Row of its UAV in the team."""
     tick: int
     number: int
+    role: int
+    """Code of a `Role`."""
     certified: bool
-    ready: int
-    """2: its UAV returns to the UGV already; 1: it is a scout, and can be asked for relief; 0: neither."""
     charge: float
     """Flight time that its UAV has left [s]; infinite: unlimited."""
     asks: int
@@ -73,7 +71,7 @@ class TeamInputs(NamedTuple):
     charge: float
     """Flight time left [s]; infinite: unlimited."""
     messages: RecordArray
-    """`ReceivedMessage`. Shape (messages,)."""
+    """`TeamPacket`. Shape (messages,)."""
     request: int
     """Code of an operator's `Request`; 0: none."""
 
@@ -116,7 +114,7 @@ def uav_inputs(
         elapsed: Ticks since the last observation.
         vertical: `VerticalState`, in which the altitude is recorded; None: the UAV flies in the plane. Shape (1,).
         buildings: Known buildings.
-        team: Number and messages of its team, from `team_inputs`.
+        team: Number and messages of its team, from `agents.team.messages.team_inputs`.
     """
     if vertical is not None and observation.altitude is not None:
         vertical["altitude"], vertical["rate"] = observation.altitude, observation.climb_rate
@@ -133,31 +131,4 @@ def uav_inputs(
         received=len(rows),
         buildings=buildings,
         team=team,
-    )
-
-
-def team_inputs(briefing: UavBriefing, observation: UavObservation) -> TeamInputs | None:
-    """Convert the number and the team-mates' messages of a tick; None: the UAV has no team."""
-    if briefing.team is None:
-        return None
-    messages = observation.team
-    rows = np.zeros(len(messages), record_type(ReceivedMessage))
-    across = -(-round(briefing.area.width / briefing.area.cell) // BLOCK_CELLS)
-    for row, message in zip(rows, messages, strict=True):
-        row["sender"], row["tick"] = briefing.mates.index(message.sender), message.tick
-        row["number"], row["certified"] = message.number, message.certified
-        row["ready"], row["charge"] = _READY.get(message.role, 0), or_infinite(message.charge)
-        row["asks"] = -1 if message.asks is None else briefing.mates.index(message.asks)
-        row["x"], row["y"] = message.position
-        row["measured"] = NO_TICK if message.measured is None else message.measured
-        row["g_x"], row["g_y"] = message.measurement
-        row["blocks"] = -1
-        for k, block in enumerate(message.blocks):
-            row["blocks"][k] = block.row * across + block.column
-            row["cells"][k] = np.frombuffer(block.cells, np.uint8)
-    return TeamInputs(
-        number=observation.number,
-        charge=or_infinite(observation.charge),
-        messages=rows,
-        request=code(observation.request) if observation.request else 0,
     )

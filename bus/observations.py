@@ -94,6 +94,51 @@ GRADIENT: Table = tuple(
 )
 """Optional entries of a UAV's observation: the direction of uncovered ground, on its own map."""
 
+
+def _role(prefix: str, whose: str) -> Table:
+    """Return the entries of a role."""
+    return tuple(
+        Entry(f"{prefix}{name}", f"1 if {whose}role is {role}, else 0", "", "0", "1")
+        for name, role in (
+            ("is_scout", "SCOUT"),
+            ("is_relief", "RELIEF"),
+            ("is_guard", "GUARD"),
+            ("is_away", "AWAY"),
+        )
+    )
+
+
+TEAM: Table = (
+    *_role("", "the own "),
+    Entry("charge", "share of the endurance that is left; 1 if it is unlimited", "", "0", "1"),
+    Entry("measured", "1 after the team's first measurement of the UGV, else 0", "", "0", "1"),
+    Entry("measured_x", "own position minus the UGV's newest measured one, x", "m", "-D", "D"),
+    Entry("measured_y", "own position minus the UGV's newest measured one, y", "m", "-D", "D"),
+    Entry("measured_age", "age of this measurement; T before the first", "s", "0", "T"),
+)
+"""Further entries of a UAV of a team, at the end."""
+
+MATE: Table = (
+    Entry("mate_heard", "1 after the team-mate's first message, else 0", "", "0", "1"),
+    Entry("mate_x", "own position minus the team-mate's in its newest message, x", "m", "-D", "D"),
+    Entry("mate_y", "own position minus the team-mate's in its newest message, y", "m", "-D", "D"),
+    *_role("mate_", "the team-mate's "),
+    Entry("mate_age", "age of its newest message; T before the first", "s", "0", "T"),
+)
+"""Entries for each team-mate, in name order, after `TEAM`; the names end in its number, from `mate_heard_0` on."""
+
+
+def team_table(mates: int) -> Table:
+    """Return the entries of a UAV in a team of this number of UAVs; none for 0."""
+    others = tuple(
+        entry._replace(name=f"{entry.name}_{k}") for k in range(mates - 1) for entry in MATE
+    )
+    return (TEAM if mates else ()) + others
+
+
+TEAM_STATE: Table = TEAM[:5]
+"""Further entries of the true state of a UAV of a team: role and charge."""
+
 OMITTED: Mapping[str, tuple[str, ...]] = {"time": ("time",), "position": ("x", "y")}
 """Entries of a UAV's row that can be left out, by the name of the part."""
 
@@ -219,6 +264,8 @@ TABLES = {
     "uav_observation": UAV,
     "altitude_observation": ALTITUDE,
     "gradient_observation": GRADIENT,
+    "team_observation": TEAM,
+    "mate_observation": MATE,
     "ugv_observation": UGV,
     "common_state": STATE,
     "uav_state": UAV_STATE,

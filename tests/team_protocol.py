@@ -24,7 +24,7 @@ from agents.team.records import (
     team_parameters,
 )
 from agents.team.roles import accept, ask, change_role, hear, receive_request
-from agents.uav_inputs import ReceivedMessage
+from agents.uav_inputs import TeamPacket
 from bus.messages.team import MOST_UAVS, Endurance
 from bus.ticks import NO_TICK
 from flights import briefing_of
@@ -176,7 +176,7 @@ def _first_memory() -> tuple[RecordArray, TeamMemory]:
 
 _PARAMETERS, _NEW = _first_memory()
 _OWN, _MATE = _NEW.own.dtype, _NEW.mates.dtype
-_UAV, _MESSAGE = record_type(_Uav), record_type(ReceivedMessage)
+_UAV, _MESSAGE = record_type(_Uav), record_type(TeamPacket)
 
 
 @compiled
@@ -251,7 +251,7 @@ def _receive(team: _Team, air: _Air, tick: int) -> None:
         if uav.alive:
             message.sender, message.tick, message.number = sender, sent, number
             message.certified, message.measured, message.asks = certified != 0, measured, asks
-            message.ready, message.charge = (2 if role == RELIEF else int(role == SCOUT)), 1.0
+            message.role, message.charge = role, 1.0
             hear(_memory(team, i), i, message)
             uav.largest = max(uav.largest, number)
             uav.heard += 1 if number > uav.stored else 0

@@ -21,7 +21,6 @@ from bus.messages.team import BLOCK_CELLS, CoverageBlock, Role, Team, TeamMessag
 from bus.messages.telemetry import TeamStatus
 from bus.messages.vehicle import UavCommand, UavObservation, UgvBriefing, UgvObservation
 from fields import fields_within
-from outrider.closed_loop.closed_loop import ClosedLoop
 from outrider.running.assumptions import how_certifiable
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import summarize
@@ -434,11 +433,6 @@ def test_a_team_of_seventeen_is_refused_and_of_sixteen_flies() -> None:
     with pytest.raises(ScenarioError, match="too many for one team"):
         check_scenario(of(17))
     assert_guaranteed(fly(check_scenario(of(16)), 1)[0])
-
-
-def test_batches_refuse_a_team() -> None:
-    with pytest.raises(ScenarioError, match="batches and environments have no teams yet"):
-        ClosedLoop(team(10.0), 2)
 
 
 def test_scouts_keep_within_their_range_whatever_the_law() -> None:

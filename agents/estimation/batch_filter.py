@@ -10,7 +10,7 @@ other rows are a ring of recent ticks, tick k in row 1 + k % depth, as they were
 import numpy as np
 
 from agents.estimation.motion_model import KalmanParameters, bounded_scales
-from agents.uav_inputs import DETECTION
+from agents.uav_inputs import DETECTION, TeamInputs
 from agents.uav_parameters import Target
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray, record_type
@@ -26,6 +26,8 @@ class EstimatorRow:
     own_y: float
     """p_a [m]."""
     measured: bool
+    received: bool
+    """True if a team-mate measured it."""
     z_x: float
     z_y: float
     """Measured position of the UGV [m]."""
@@ -129,14 +131,41 @@ def insert(rows: RecordArray, row: tuple[int, int], tick: int, detection: FloatA
     if taken < 0 or taken > tick or tick - taken >= depth:
         return tick + 1
     entry = rows[world, uav, 1 + taken % depth]
-    if entry.tick != taken or entry.measured:
+    if entry.tick != taken or (entry.measured and not entry.received):
         return tick + 1
-    entry.measured = True
+    entry.measured, entry.received = True, False
     entry.z_x, entry.z_y = (
         entry.own_x - detection[DETECTION.x],
         entry.own_y - detection[DETECTION.y],
     )
     return taken
+
+
+@compiled
+def _insert_received(
+    rows: RecordArray, row: tuple[int, int], tick: int, messages: TeamInputs | None
+) -> int:
+    """Store the measurements of team-mates for ticks without one; return the first such tick, or the next tick.
+
+    Args:
+        rows, row, tick: As in `insert`.
+        messages: Messages of the team-mates; None: there are no teams.
+    """
+    if messages is None:
+        return tick + 1
+    world, uav = row
+    depth, first = rows.shape[2] - 1, tick + 1
+    for n in range(messages.messages.shape[0]):
+        message = messages.messages[n]
+        taken = message.measured
+        if taken < 0 or taken > tick or tick - taken >= depth:
+            continue
+        entry = rows[world, uav, 1 + taken % depth]
+        if entry.tick == taken and not entry.measured:
+            entry.measured = entry.received = True
+            entry.z_x, entry.z_y = message.g_x, message.g_y
+            first = min(first, taken)
+    return first
 
 
 @compiled
@@ -148,6 +177,7 @@ def update(
     own: State,
     detections: FloatArray,
     count: int,
+    messages: TeamInputs | None = None,
 ) -> None:
     """Advance to the next tick and use the detections that have arrived, each at its own tick.
 
@@ -159,15 +189,19 @@ def update(
         own: Current state of the UAV.
         detections: Detections, in the columns `DETECTION`. Shape (rows, 3).
         count: Number of valid rows of `detections`.
+        messages: Messages of team-mates, whose measurements are used for ticks without an own detection; None: there
+            are no teams.
     """
     world, uav = row
     depth, now = rows.shape[2] - 1, rows[world, uav, 0]
     predict(parameters, now)
     now.tick, now.own_x, now.own_y, now.measured = tick, own.p_x, own.p_y, False
+    now.received = False
     rows[world, uav, 1 + tick % depth] = now
     first = tick + 1
     for k in range(count):
         first = min(first, insert(rows, row, tick, detections[k]))
+    first = min(first, _insert_received(rows, row, tick, messages))
     for k in range(first, tick + 1):
         entry = rows[world, uav, 1 + k % depth]
         if k == first:
@@ -176,6 +210,7 @@ def update(
             predict(parameters, now)
             now.tick, now.own_x, now.own_y = k, entry.own_x, entry.own_y
             now.measured, now.z_x, now.z_y = entry.measured, entry.z_x, entry.z_y
+            now.received = entry.received
             rows[world, uav, 1 + k % depth] = now
         if now.measured:
             correct(parameters, now)

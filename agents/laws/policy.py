@@ -6,11 +6,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.asking import LARGEST, AskedPolicy, finite
+from agents.team.roles import asked_role
 from agents.uav_parameters import UavParameters
 from bus.errors import ScenarioError
 from bus.messages.base import Vector
 from bus.messages.vehicle import UavBriefing, UavObservation
-from bus.observations import ALTITUDE, GRADIENT, UAV, Row, clipped, names, without
+from bus.observations import ALTITUDE, GRADIENT, UAV, Row, clipped, names, team_table, without
 from bus.ticks import DetectionRow, detection_rows
 from sim.compiling.compile import FloatArray
 from sim.models.field import coverage_gradient, sample
@@ -19,7 +20,8 @@ from sim.models.shadows import Occlusion
 UavPolicy = Callable[[Any], object]
 """Function that maps a UAV's observations in a batch of worlds to its accelerations [m/s²].
 
-Shape (worlds, 2); (worlds, 3) for a UAV that has an altitude.
+Shape (worlds, 2); (worlds, 3) for a UAV that has an altitude. With `roles: "action"` in its setup, one more entry asks
+for a role.
 
 It may have a `setup`, the environment settings that define its observations (`SETUP`), and a method `fits`. `fits`
 receives the briefing, raises a ValueError if the policy was made for another UAV, and returns warnings.
@@ -31,15 +33,13 @@ SETUP: Mapping[str, Any] = {
     "coverage_patch": None,
     "dtype": np.float64,
     "duration": None,
+    "roles": "rules",
 }
 """Keys and defaults of a policy's setup, as in `outrider.vector_env`.
 
 `duration` [s] is the length of its episodes; it replaces the age of a detection before the first one.
 """
-_PLANE = "two finite numbers for each world, here of shape (1, 2), the acceleration x and y [m/s²]"
-_SPACE = (
-    "three finite numbers for each world, here of shape (1, 3), the acceleration x, y and z [m/s²]"
-)
+_AXES = {2: "the acceleration x and y [m/s²]", 3: "the acceleration x, y and z [m/s²]"}
 
 
 class TargetEstimate(NamedTuple):
@@ -99,7 +99,8 @@ class PolicyControl:
         self._asked = AskedPolicy(policy, f"uav_policy = {name!r}", self._dt)
         self._setup = {**SETUP, **getattr(policy, "setup", {})}
         length = self._setup["duration"]
-        self._never = np.inf if length is None else float(length)
+        self.never = np.inf if length is None else float(length)
+        """Age of what was never received [s]."""
         self._newest = -1
         self.sensor = uav.sensor
         """Sensor of the UAV at its altitude."""
@@ -111,6 +112,12 @@ class PolicyControl:
             self._table += ALTITUDE
         if self._setup["gradient"]:
             self._table += GRADIENT
+        self._table += team_table(len(briefing.mates))
+        self._asks_role = bool(briefing.mates) and self._setup["roles"] == "action"
+        self.request = 0
+        """Request for a role in the last answer, see `TeamInputs`; it counts in the next tick."""
+        self.team: FloatArray = np.zeros(0)
+        """Team entries of the row in this tick, see `agents.team.row`; empty: it has no team."""
         kept = names(without(self._table, self._setup["omit"]))
         self._columns = [k for k, name in enumerate(names(self._table)) if name in kept]
         self.vertical = 0.0
@@ -138,19 +145,22 @@ class PolicyControl:
             coverage: The UAV's own coverage map. Shape (rows, columns).
 
         Raises:
-            ScenarioError: If the policy raises, or does not return two finite numbers; three for a UAV that has an
-                altitude, of which the third is `vertical`.
+            ScenarioError: If the policy raises, or does not return two finite numbers; a third one for a UAV that has
+                an altitude is `vertical`, and a last one, if it asks for a role, is `request`.
         """
         tick = observation.tick
         row = self._row(observation, target, coverage).astype(self._setup["dtype"])[None]
         seen = {"row": row, "coverage": self._patch(observation, coverage)} if self._pixels else row
         answer = self._asked.answer(tick, seen)
-        count = 3 if self._climbs else 2
+        axes = 3 if self._climbs else 2
+        count = axes + self._asks_role
         found = finite(answer, (1, count))
         if found is None or max(map(abs, found)) > LARGEST:
-            allowed = _SPACE if self._climbs else _PLANE
+            wanted = _AXES[axes] + (", and the request for a role" if self._asks_role else "")
+            allowed = f"{count} finite numbers for each world, here of shape (1, {count}), {wanted}"
             raise self._asked.invalid_answer(tick, answer, allowed)
         self.vertical = found[2] if self._climbs else 0.0
+        self.request = asked_role(found[-1]) if self._asks_role else 0
         return found[0], found[1]
 
     def _row(
@@ -161,7 +171,7 @@ class PolicyControl:
             self._detections(observation), key=lambda detection: detection.taken, default=None
         )
         newest = self._newest if best is None else best.taken
-        age = self._never if newest < 0 else time - newest * self._dt
+        age = self.never if newest < 0 else time - newest * self._dt
         seen = (0.0, 0.0, 0.0, age) if best is None else (1.0, best.x, best.y, age)
         if target.known and self._setup["estimate"]:
             seen = 1.0, x - target.x, y - target.y, target.age * self._dt
@@ -170,6 +180,7 @@ class PolicyControl:
             entries += [observation.altitude or 0.0, observation.climb_rate]
         if self._setup["gradient"]:
             entries += self._gradient(x, y, target, coverage)
+        entries += self.team.tolist()
         row = clipped(self._table, np.array(entries, dtype=np.float64), self._area, self._dt)
         return row[self._columns]
 

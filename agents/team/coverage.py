@@ -7,7 +7,7 @@ value of each cell and sender, so nothing counts twice, whatever arrives.
 import math
 
 from agents.team.records import TeamMemory, TeamParameters
-from agents.uav_inputs import ByteArray, ReceivedMessage
+from agents.uav_inputs import ByteArray, TeamPacket
 from bus.messages.team import BLOCK_CELLS, MOST_COVERAGE_BLOCKS
 from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.models.vehicles import State
@@ -19,7 +19,7 @@ _LATER = 2**40
 
 
 @compiled
-def hear_blocks(memory: TeamMemory, message: ReceivedMessage) -> None:
+def hear_blocks(memory: TeamMemory, message: TeamPacket) -> None:
     """Record the coverage in a team-mate's message."""
     rows, columns = memory.sent.shape
     across, count = memory.sent_tick.shape[1], memory.sent_tick.size

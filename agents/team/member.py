@@ -2,35 +2,49 @@
 
 import numpy as np
 
-from agents.team.coverage import choose_blocks
-from agents.team.records import TeamMemory, message_blocks
-from agents.team.roles import accept, control_of_role
-from agents.uav_inputs import UavInputs
-from bus.messages.base import Vector, or_none
+from agents.team.messages import is_due, to_bus, write_message
+from agents.team.records import TeamMemory
+from agents.team.row import entries, write_team_row
+from agents.team.tick import role_accepts, role_control
+from agents.uav_inputs import TeamPacket, UavInputs
+from bus.messages.base import Vector
 from bus.messages.decision import FilterDecision
-from bus.messages.team import MOST_COVERAGE_BLOCKS, Role, TeamMessage
-from bus.messages.vehicle import UavBriefing, UavObservation
-from bus.ticks import NO_TICK
+from bus.messages.team import Role, TeamMessage
+from bus.messages.vehicle import UavBriefing
 from sim.compiling.compile import FloatArray, compiled
-from sim.compiling.records import RecordArray, choice
+from sim.compiling.records import RecordArray, choice, record_type
 from sim.models.vehicles import State
 
 
 @compiled
-def _control(
+def _write(
     parameters: RecordArray,
     memory: TeamMemory,
+    coverage: FloatArray,
+    desired: float,
     state: State,
-    safety: RecordArray,
-    u_x: float,
-    u_y: float,
-) -> tuple[float, float]:
-    return control_of_role(parameters[0], memory, state, safety[0], (u_x, u_y))
+    tick: int,
+    message: RecordArray,
+) -> bool:
+    """Write the message of a tick; return False if none is due."""
+    one = parameters[0]
+    if not is_due(one, tick):
+        return False
+    write_message(one, memory, coverage, desired, state, tick, message[0])
+    return True
 
 
 @compiled
-def _accept(parameters: RecordArray, memory: TeamMemory, certified: bool) -> None:
-    accept(parameters[0], memory, certified)
+def _write_row(
+    parameters: RecordArray,
+    memory: TeamMemory,
+    state: State,
+    tick: int,
+    dt: float,
+    never: float,
+    row: FloatArray,
+) -> None:
+    write_team_row(parameters[0], memory, state, tick, dt, never, row)
 
 
 class TeamMember:
@@ -50,11 +64,10 @@ class TeamMember:
         memory: TeamMemory,
         safety: RecordArray,
     ) -> None:
-        self._name, self._mates = briefing.vehicle, briefing.mates
+        self._mates, self._area = briefing.mates, briefing.area
         self._desired = briefing.desired_coverage
         self._parameters, self._memory, self._safety = parameters, memory, safety
-        self._row, self._period = int(parameters[0]["row"]), int(parameters[0]["period"])
-        self._blocks = np.zeros(MOST_COVERAGE_BLOCKS, dtype=np.int64)
+        self._message = np.zeros(1, record_type(TeamPacket))
 
     @property
     def role(self) -> Role:
@@ -73,10 +86,17 @@ class TeamMember:
 
     def control(self, inputs: UavInputs, acceleration: Vector) -> Vector:
         """Return the acceleration of its role, before the safety filter, see `control_of_role` [m/s²]."""
-        u_x, u_y = _control(
-            self._parameters, self._memory, inputs.own, self._safety, *map(float, acceleration)
+        u_x, u_y = map(float, acceleration)
+        found: Vector = role_control(
+            self._parameters, self._memory, inputs.own, self._safety, (u_x, u_y)
         )
-        return u_x, u_y
+        return found
+
+    def row(self, inputs: UavInputs, dt: float, never: float) -> FloatArray:
+        """Return the team entries of the UAV's observation row, see `write_team_row`."""
+        found = np.zeros(entries(len(self._mates)))
+        _write_row(self._parameters, self._memory, inputs.own, inputs.tick, dt, never, found)
+        return found
 
     def forget_commands(self) -> None:
         """Return to the stored number at the next tick: a greater one may not have been sent."""
@@ -85,31 +105,16 @@ class TeamMember:
     def accept(self, decision: FilterDecision | None) -> None:
         """Begin to guard if the safety filter has certified this tick."""
         certified = decision is not None and decision.certified
-        _accept(self._parameters, self._memory, certified)
+        role_accepts(self._parameters, self._memory, certified)
 
-    def message(self, observation: UavObservation, coverage: FloatArray) -> TeamMessage | None:
+    def message(self, inputs: UavInputs, coverage: FloatArray) -> TeamMessage | None:
         """Return the message of this tick to the team-mates; None: none is due.
 
         Args:
-            observation: Observation of the tick.
+            inputs: State of the tick.
             coverage: Its own map. Shape (rows, columns).
         """
-        tick = observation.tick
-        if len(self._mates) < 2 or (tick + self._row) % self._period:
+        given = self._parameters, self._memory, coverage, self._desired
+        if not _write(*given, inputs.own, inputs.tick, self._message):
             return None
-        own = self._memory.own[0]
-        measured = int(own["own_tick"])
-        choose_blocks(self._memory, coverage, self._desired, tick, self._blocks)
-        return TeamMessage(
-            sender=self._name,
-            tick=tick,
-            number=self.number,
-            role=self.role,
-            certified=bool(own["certified"]),
-            position=observation.position,
-            measured=None if measured == NO_TICK else measured,
-            measurement=(float(own["own_x"]), float(own["own_y"])),
-            charge=or_none(float(own["charge"])),
-            asks=None if own["asks"] < 0 else self._mates[int(own["asks"])],
-            blocks=message_blocks(self._memory, self._blocks.tolist()),
-        )
+        return to_bus(self._message, self._mates, self._area)

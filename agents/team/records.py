@@ -1,13 +1,12 @@
 """Constants and memory of a UAV's part in its team."""
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from agents.uav_inputs import ByteArray
-from bus.messages.team import BLOCK_CELLS, CoverageBlock, Request, Role
+from bus.messages.team import BLOCK_CELLS, Request, Role
 from bus.messages.vehicle import UavBriefing
 from bus.ticks import NO_TICK, team_ticks, ticks_within
 from sim.compiling.compile import FloatArray, IntArray
@@ -24,6 +23,8 @@ class TeamParameters(NamedTuple):
 
     row: int
     """Row of the UAV in its team."""
+    mates: int
+    """UAVs of its team, itself included."""
     guards: int
     """g: number of guards."""
     silence_ticks: int
@@ -56,8 +57,8 @@ class Mate:
     """Tick of the newest message; NO_TICK: none."""
     guard_tick: int
     """Tick of the newest message as a certified guard; NO_TICK: none."""
-    ready: int
-    """2: it returns to the UGV already; 1: it is a scout, and can be asked for relief; 0: neither."""
+    role: int
+    """Code of its `Role` in the newest message."""
     charge: float
     """Flight time that it had left [s]."""
     x: float
@@ -139,6 +140,7 @@ def team_parameters(briefing: UavBriefing) -> RecordArray | None:
     given, (v_a, u_a) = briefing.endurance, briefing.limits.numbers
     parameters = TeamParameters(
         row=briefing.mates.index(briefing.vehicle),
+        mates=len(briefing.mates),
         guards=team.guards,
         silence_ticks=ticks_within(team.silence, briefing.dt),
         period=team_ticks(briefing.dt),
@@ -156,12 +158,13 @@ def team_parameters(briefing: UavBriefing) -> RecordArray | None:
     return records(TeamParameters, [parameters])
 
 
-def team_memory(briefing: UavBriefing, coverage: FloatArray) -> TeamMemory | None:
+def team_memory(briefing: UavBriefing, coverage: FloatArray, most: int = 0) -> TeamMemory | None:
     """Return the memory of a UAV that joins its team; None: it has no team.
 
     Args:
         briefing: Briefing of the UAV.
         coverage: Its own map at the start. Shape (rows, columns).
+        most: Least number of rows for team-mates; those beyond its team stay empty.
     """
     if briefing.team is None:
         return None
@@ -171,7 +174,7 @@ def team_memory(briefing: UavBriefing, coverage: FloatArray) -> TeamMemory | Non
     own["role"], own["asks"] = RELIEF, -1
     for name in ("since", "asked_tick", "own_tick", "known_tick"):
         own[name] = NO_TICK
-    mates = np.zeros(len(briefing.mates), record_type(Mate))
+    mates = np.zeros(max(most, len(briefing.mates)), record_type(Mate))
     mates["tick"] = mates["guard_tick"] = NO_TICK
     depth = ticks_within(briefing.team.silence, briefing.dt) + 1
     return TeamMemory(
@@ -184,20 +187,3 @@ def team_memory(briefing: UavBriefing, coverage: FloatArray) -> TeamMemory | Non
         repeats=np.zeros(blocks, np.int64),
         coverage=coverage.copy(),
     )
-
-
-def message_blocks(memory: TeamMemory, blocks: Sequence[int]) -> tuple[CoverageBlock, ...]:
-    """Return blocks of a UAV's own coverage, as sent now; `blocks`: their indices, -1: none."""
-    across = memory.sent_tick.shape[1]
-    found = []
-    for block in blocks:
-        if block >= 0:
-            row, column = divmod(int(block), across)
-            cells = np.zeros((BLOCK_CELLS, BLOCK_CELLS), np.uint8)
-            part = memory.sent[
-                row * BLOCK_CELLS : (row + 1) * BLOCK_CELLS,
-                column * BLOCK_CELLS : (column + 1) * BLOCK_CELLS,
-            ]
-            cells[: part.shape[0], : part.shape[1]] = part
-            found.append(CoverageBlock(column, row, cells.tobytes()))
-    return tuple(found)

@@ -19,26 +19,30 @@ from agents.team.records import (
     RELIEF,
     RELIEVE,
     SCOUT,
+    Mate,
     OwnRole,
     TeamMemory,
     TeamParameters,
 )
-from agents.uav_inputs import DETECTION, ReceivedMessage, TeamInputs, UavInputs
+from agents.uav_inputs import DETECTION, TeamInputs, TeamPacket, UavInputs
 from bus.messages.team import MOST_UAVS
 from sim.compiling.compile import compiled
 from sim.models.endurance import RESERVE, is_at_base, reach_time, return_time
 from sim.models.safety import SafetyBounds
 from sim.models.vehicles import State, norm
 
+_ASKS = 0.5
+"""Size of a request in an action from which it counts."""
+
 
 @compiled
-def hear(memory: TeamMemory, row: int, message: ReceivedMessage) -> None:
+def hear(memory: TeamMemory, row: int, message: TeamPacket) -> None:
     """Record a team-mate's message, in any order of arrival; `row`: row of this UAV in the team."""
     own, mate = memory.own[0], memory.mates[message.sender]
     mate.number = max(mate.number, message.number)
     if message.tick > mate.tick:
         mate.tick, mate.x, mate.y = message.tick, message.x, message.y
-        mate.ready, mate.charge = message.ready, message.charge
+        mate.role, mate.charge = message.role, message.charge
     if message.certified:
         mate.guard_tick = max(mate.guard_tick, message.tick)
     if message.asks == row:
@@ -86,6 +90,12 @@ def is_released(parameters: TeamParameters, memory: TeamMemory, tick: int) -> bo
     A greater number alone is not enough: its UAV may have left with its charge exhausted.
     """
     return _hears_guards(parameters, memory, tick, memory.own[0].number)
+
+
+@compiled
+def asked_role(request: float) -> int:
+    """Return the code of the `Request` in an action: from 0.5 on to guard, up to -0.5 to be relieved; else 0."""
+    return CALL if request >= _ASKS else RELIEVE if request <= -_ASKS else 0
 
 
 @compiled
@@ -154,6 +164,14 @@ def change_role(parameters: TeamParameters, memory: TeamMemory, number: int, tic
 
 
 @compiled
+def _readiness(mate: Mate) -> int:
+    """Return 2 if a team-mate returns to the UGV already, 1 if it is a scout and can be asked for relief, else 0."""
+    if mate.tick < 0:
+        return 0
+    return 2 if mate.role == RELIEF else 1 if mate.role == SCOUT else 0
+
+
+@compiled
 def ask(parameters: TeamParameters, memory: TeamMemory) -> None:
     """Ask a team-mate for relief, if this guard's charge lasts only for that or an operator wants it relieved.
 
@@ -165,9 +183,10 @@ def ask(parameters: TeamParameters, memory: TeamMemory) -> None:
     if own.role == GUARD and (own.leaving or own.spare <= own.lead):
         for k in range(memory.mates.shape[0]):
             mate = memory.mates[k]
-            better = mate.ready > most or (mate.ready == most and mate.charge > best)
-            if k != parameters.row and mate.ready > 0 and better:
-                own.asks, most, best = k, mate.ready, mate.charge
+            ready = _readiness(mate)
+            better = ready > most or (ready == most and mate.charge > best)
+            if k != parameters.row and ready > 0 and better:
+                own.asks, most, best = k, ready, mate.charge
 
 
 @compiled

@@ -5,11 +5,12 @@ from typing import Any
 from agents.safety.memory import FilterMemory
 from agents.team.coverage import hear_blocks, share_coverage
 from agents.team.records import SCOUT, TeamMemory
-from agents.team.roles import begin_tick
+from agents.team.roles import accept, begin_tick, control_of_role
 from agents.uav_inputs import UavInputs
 from agents.uav_parameters import UavParameters
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray
+from sim.models.vehicles import State
 
 
 @compiled
@@ -54,6 +55,36 @@ def perceive_team(
     changing.max_distance = one.scout_range if own.role == SCOUT else fixed.max_distance
     changing.switching_radius = one.scout_range if own.role == SCOUT else fixed.switching_radius
     return bool(own.filtered)
+
+
+@compiled
+def role_filters(memory: TeamMemory | None, filtered: bool) -> bool:
+    """Return whether a UAV's commands pass its safety filter in this tick; `filtered`: result without a team."""
+    return filtered if memory is None else memory.own[0].filtered
+
+
+@compiled
+def role_control(
+    parameters: RecordArray | None,
+    memory: TeamMemory | None,
+    state: State,
+    safety: RecordArray,
+    nominal: tuple[float, float],
+) -> tuple[float, float]:
+    """Return the acceleration of a UAV's role, see `control_of_role`; without a team, the nominal one [m/s²]."""
+    if parameters is None or memory is None:
+        return nominal
+    u_x, u_y = control_of_role(parameters[0], memory, state, safety[0], nominal)
+    return u_x, u_y
+
+
+@compiled
+def role_accepts(
+    parameters: RecordArray | None, memory: TeamMemory | None, certified: bool
+) -> None:
+    """Let a UAV begin to guard if its filter certifies this tick (R1)."""
+    if parameters is not None and memory is not None:
+        accept(parameters[0], memory, certified)
 
 
 @compiled

@@ -6,6 +6,7 @@ from typing import Any, cast
 import numpy as np
 from gymnasium import spaces
 
+from bus.messages.team import MOST_UAVS
 from bus.observations import (
     ALTITUDE,
     GRADIENT,
@@ -16,6 +17,7 @@ from bus.observations import (
     bounds,
     by_name,
     names,
+    team_table,
     without,
 )
 from outrider_learning.transformation import Mask, Transformation
@@ -46,7 +48,11 @@ UGV_BODY: Table = (
 )
 """Row of a UGV in its own frame."""
 
-_FURTHER = ((), ALTITUDE, GRADIENT, ALTITUDE + GRADIENT)
+_FURTHER = tuple(
+    more + team_table(mates)
+    for mates in range(MOST_UAVS + 1)
+    for more in ((), ALTITUDE, GRADIENT, ALTITUDE + GRADIENT)
+)
 _OMITS = ((), ("time",), ("position",), ("time", "position"))
 _LEFT_OUT = {"time": ("time",), "position": ("centre_x", "centre_y")}
 
@@ -81,7 +87,8 @@ class Egocentric(Transformation):
     """Vehicle frame: origin at the vehicle, x along its velocity, y to the left.
 
     Below the speed `rest` the vehicle keeps its last heading; an episode starts with heading east. Rows become
-    `UAV_BODY` or `UGV_BODY`. A gradient that follows them is rotated, altitude and climb rate are not. Actions are
+    `UAV_BODY` or `UGV_BODY`. A gradient and relative positions that follow them are rotated, altitude, climb rate
+    and the team's other entries are not. Actions are
     accelerations [m/s²] in this frame, by the heading of the last observation; with an altitude, a vertical one
     follows. The coverage picture is rotated: columns ahead, rows to the left, nearest sampling, 1 outside. The picture
     of the tiles is not rotated.
@@ -159,9 +166,10 @@ class Egocentric(Transformation):
         cosine, sine = self._heading.T
         vectors = {
             name: (entries[f"{name}_x"], entries[f"{name}_y"])
-            for name in ("relative", "gradient", "goal")
+            for name in ("relative", "gradient", "goal", "measured")
             if f"{name}_x" in entries
         }
+        mates = [name for name in entries if name.startswith("mate_x_")]
         if "x" in entries:
             vectors["centre"] = self._centre[0] - entries["x"], self._centre[1] - entries["y"]
         if "goal" in vectors:
@@ -170,12 +178,17 @@ class Egocentric(Transformation):
         new = entries | {"heading_x": cosine, "heading_y": sine}
         for name, (x, y) in vectors.items():
             new[f"{name}_x"], new[f"{name}_y"] = cosine * x + sine * y, cosine * y - sine * x
+        for name in mates:
+            other = name.replace("_x_", "_y_")
+            x, y = entries[name], entries[other]
+            new[name], new[other] = cosine * x + sine * y, cosine * y - sine * x
         return np.stack([new[name] for name in names(self._body)], axis=-1)
 
     def action(self, action: Any) -> Any:  # noqa: ANN401 - see Transformation
         """Return the acceleration in the world frame; invalid actions pass unchanged."""
         body = np.asarray(action)
-        if body.shape != (len(self._heading), self._axes) or body.dtype.kind not in "fiu":
+        wrong = body.ndim != 2 or len(body) != len(self._heading) or body.dtype.kind not in "fiu"
+        if wrong or body.shape[1] not in (self._axes, self._axes + 1):  # the last: a request
             return action
         (ahead, left, *up), (cosine, sine) = body.T.astype(np.float64), self._heading.T
         return np.stack((cosine * ahead - sine * left, sine * ahead + cosine * left, *up), axis=-1)

@@ -44,6 +44,18 @@ def check_altitude(briefing: UavBriefing, *, trained: bool) -> None:
         raise ValueError("initial_altitude: missing; the policy was trained with an altitude")
 
 
+def check_team(briefing: UavBriefing, *, trained: int) -> None:
+    """Check that a UAV's team has as many UAVs as the policy was trained with; 0: none.
+
+    Raises:
+        ValueError: If it has another number.
+    """
+    count = len(briefing.mates)
+    if count != trained:
+        now, then = (f"a team of {n} UAVs" if n else "no team" for n in (count, trained))
+        raise ValueError(f"team: {now}: the policy was trained with {then}")
+
+
 def make_view(recipe: Mapping[str, Any]) -> EscortView:
     """Return the transformation that a recipe describes, for one environment.
 
@@ -129,9 +141,10 @@ class LearnedPolicy:
         """Check that the policy supports a UAV; there are no warnings.
 
         Raises:
-            ValueError: If the tick length or the UAV's maximum speed differs, or the UAV has an altitude.
+            ValueError: If the tick length or the UAV's maximum speed differs, or the UAV has an altitude or a team.
         """
         check_altitude(briefing, trained=False)
+        check_team(briefing, trained=0)
         v_max = float(self.recipe["view"]["v_max"])
         check_made_for("dt", briefing.dt, self._dt)
         check_made_for("max_speed", briefing.limits.numbers[0], v_max)

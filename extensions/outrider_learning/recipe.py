@@ -1,14 +1,16 @@
 """Recipe of a policy's observation: settings of the environment and the wrappers around it."""
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 from gymnasium import spaces
+from msgspec import Meta
 
 from bus.errors import ScenarioError
 from bus.messages.base import NonNegative, Positive
+from bus.messages.team import MOST_UAVS
 from outrider.running.user_modules import find_object
 from outrider_learning.bounds import MOST_TICKS, whole
 from outrider_learning.egocentric import Egocentric
@@ -20,6 +22,7 @@ from outrider_learning.transformation import Transformation, Transformed
 from sim.env.observation import uav_space
 from sim.env.patch import given_patch
 from sim.env.spaces import extent_of
+from sim.scenario.team import mates_of
 from sim.scenario.types import Uav
 
 _KINDS: Mapping[str, type[Transformation]] = {
@@ -55,6 +58,9 @@ class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     """Values of the names in `NEEDED` in the training environment, and of those in `HIGHER` with an altitude."""
     dt: Positive | None = None
     """Length of a tick [s]; None if unknown."""
+    mates: Annotated[int, Meta(ge=0, le=MOST_UAVS)] = 0
+    """UAVs of the UAV's team, itself included; 0: it has no team."""
+    roles: Literal["rules", "action"] = "rules"
     estimate: bool = False
     gradient: bool = False
     omit: tuple[Literal["time", "position"], ...] = ()
@@ -71,8 +77,13 @@ class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 
     @property
     def altitude(self) -> bool:
-        """Return True if the UAV has an altitude, hence two more entries and a third action."""
+        """Return True if the UAV has an altitude, hence two more entries and a vertical action."""
         return self.extent.keys() >= HIGHER
+
+    @property
+    def actions(self) -> int:
+        """Return the number of entries of an action."""
+        return 2 + self.altitude + (self.mates > 0 and self.roles == "action")
 
     def space(self) -> spaces.Space[Any]:
         """Return the environment's own observation space."""
@@ -83,6 +94,7 @@ class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
             gradient=self.gradient,
             omit=self.omit,
             altitude=self.altitude,
+            mates=self.mates,
             pixels=0 if patch is None else patch.pixels,
             dtype=np.dtype(self.dtype).type,
         )
@@ -131,6 +143,8 @@ def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of seve
     return ObservationRecipe(
         extent={name: value for name, value in extent_of(scenario, uav).items() if name in given},
         dt=scenario.dt,
+        mates=len(mates_of(scenario, uav.name)),
+        roles=env.worlds.settings.roles,
         estimate=options.estimate,
         gradient=options.gradient,
         omit=tuple(options.omit),

@@ -20,7 +20,7 @@ from bus.messages.vehicle import UavBriefing
 from bus.numbers import exact
 from bus.observations import ROUNDING, UAV, by_name, largest, names, without
 from bus.policies import policy_forms
-from outrider_learning.learned import check_altitude, check_made_for
+from outrider_learning.learned import check_altitude, check_made_for, check_team
 from outrider_learning.recipe import (
     ObservationRecipe,
     RepeatedAction,
@@ -88,8 +88,8 @@ class SavedPolicy:
     def __init__(self, model: Model, recipe: ObservationRecipe) -> None:
         self._model, self._recipe = model, recipe
         self._layers = [make_layer(layer) for layer in recipe.layers]
-        space, axes = recipe.space(), 3 if recipe.altitude else 2
-        whole = uav_table(altitude=recipe.altitude, gradient=recipe.gradient)
+        space, axes = recipe.space(), recipe.actions
+        whole = uav_table(altitude=recipe.altitude, gradient=recipe.gradient, mates=recipe.mates)
         kept = names(without(whole, recipe.omit))
         self._columns = [k for k, name in enumerate(names(whole)) if name in kept]
         # The policy drops the entries itself: it needs the time to recognize the start of an episode.
@@ -111,6 +111,7 @@ class SavedPolicy:
             "coverage_patch": recipe.coverage_patch,
             "dtype": np.dtype(recipe.dtype).type,
             "duration": recipe.length,
+            "roles": recipe.roles,
         }
         """Settings of the environment with the required observations, and the length of its episodes [s]."""
         self._state: Any = None
@@ -129,10 +130,11 @@ class SavedPolicy:
 
         Raises:
             ValueError: If the tick length, the UAV's maximum speed or its maximum climb rate differs, or if it was
-                trained without an altitude, or with one that this UAV lacks.
+                trained without an altitude, or with one that this UAV lacks, or in a team of another size.
         """
         made, area, high = self._recipe.extent, briefing.area, briefing.altitude
         check_altitude(briefing, trained=self._recipe.altitude)
+        check_team(briefing, trained=self._recipe.mates)
         if self._recipe.dt is not None:
             check_made_for("dt", briefing.dt, self._recipe.dt)
         most = largest(area, briefing.dt)["v_max"]

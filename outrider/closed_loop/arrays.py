@@ -11,6 +11,12 @@ from agents.safety.pending import PendingCommands
 from agents.uav_constants import UavConstants
 from agents.uav_inputs import KnownBuildings, UavInputs
 from agents.uav_tick import UavMemory
+from outrider.closed_loop.teams import (
+    TeamState,
+    TeamTables,
+    team_inputs_of,
+    team_memory_of,
+)
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
 from sim.compiling.dispatch import unless_none
 from sim.compiling.records import RecordArray, row_of
@@ -85,6 +91,8 @@ class PilotTables(NamedTuple):
     script_rows: IntArray
     late: IntArray
     """Rows of pending commands of each UGV: its command delay in ticks, plus 2. Shape (1 or worlds, UGVs)."""
+    teams: TeamTables | None
+    """None: there are no teams."""
 
 
 class PilotState(NamedTuple):
@@ -121,6 +129,8 @@ class PilotState(NamedTuple):
     positions: IntArray
     states: TileArray
     """Work arrays for tiles reported to a UGV: indices and states. Shapes (worlds, 2, room), (worlds, room)."""
+    teams: TeamState | None
+    """None: there are no teams."""
 
 
 class Pilots(NamedTuple):
@@ -172,7 +182,7 @@ def constants_of(tables: PilotTables, world: int, uav: int) -> UavConstants:
         _row(uavs.safety, world, uav),
         _rows(uavs.levels, world, uav),
         _row(uavs.altitude, world, uav),
-        None,
+        _row(uavs.team, world, uav),
     )
 
 
@@ -186,7 +196,7 @@ def memory_of(pilots: Pilots, world: int, uav: int) -> UavMemory:
         map_of(uavs.coverage, world, uav),
         _row(uavs.altitude, world, uav),
         _filter_of(uavs.filter, delay, world, uav),
-        None,
+        team_memory_of(uavs.team, world, uav),
     )
 
 
@@ -275,5 +285,5 @@ def inputs_of(
         pilots.state.detections[world],
         batch.links[world, uav].arrived,
         _buildings_of(batch.town, batch.buildings, world, uav),
-        None,
+        team_inputs_of(pilots.state.teams, world, uav),
     )

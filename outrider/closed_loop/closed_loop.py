@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from agents.safety.safety_filter import decision_of
-from bus.errors import ScenarioError
 from bus.messages.decision import FilterDecision
 from bus.messages.links import LinkKind, LinkStatus
 from bus.messages.telemetry import MissionResult
@@ -22,6 +21,7 @@ from outrider.closed_loop.pilots import (
     uses_radio,
 )
 from outrider.closed_loop.random_worlds import DrawnWorlds, tables_of_worlds
+from outrider.closed_loop.teams import team_metrics
 from outrider.closed_loop.tick import run_worlds
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
@@ -30,6 +30,7 @@ from sim.engine.ground_state import set_driver
 from sim.engine.mission import mission_of
 from sim.engine.monitor import certificate_counters
 from sim.engine.run_keys import check_secret
+from sim.env.actions import ACTION_COLUMNS
 from sim.env.randomization import Randomization
 from sim.env.rows import RowTables, row_state, row_tables
 from sim.env.settings import Settings, settings_of
@@ -65,10 +66,6 @@ class ClosedLoop:
         error: bool = False,
         **settings: Any,  # noqa: ANN401 - fields of `Settings`
     ) -> None:
-        if scenario.team is not None:
-            raise ScenarioError(
-                "team: batches and environments have no teams yet; allowed: no [team], or `outrider run`"
-            )
         options = settings_of(settings)
         given, ranges = scenario, options.randomize
         self.randomization = Randomization(scenario, ranges) if ranges else None
@@ -114,7 +111,7 @@ class ClosedLoop:
         # the batch restores its own state
         self._fresh = Fresh((self.state[1:], self.pilots and self.pilots.state))
         self._all = np.arange(worlds)
-        self._none = np.zeros((worlds, 0, 3))
+        self._none = np.zeros((worlds, 0, ACTION_COLUMNS))
         self.begin([scenario.seed], [0])
 
     def _batch_of(self, settings: Settings) -> Batch:
@@ -125,7 +122,7 @@ class ClosedLoop:
             gains=settings.rewards.seen > 0.0,
             threads=settings.threads,
             secret=self._secret,
-            others=(LinkKind.RADIO,),
+            others=(LinkKind.RADIO, LinkKind.TEAM),
             differ=self.randomization is not None,
         )
 
@@ -133,7 +130,8 @@ class ClosedLoop:
         asked = settings.estimate or settings.gradient or settings.safety_filter
         pictured = settings.coverage_patch is not None
         commanded = len(self.external) == len(self.names)
-        return bool(asked) or pictured or not commanded or uses_radio(self.scenario)
+        teamed = self.scenario.team is not None
+        return bool(asked) or pictured or not commanded or teamed or uses_radio(self.scenario)
 
     def _chosen_pilots(self, chosen: Mapping[str, str], settings: Settings) -> ChosenPilots:
         external, shield = set(self.external), settings.safety_filter
@@ -199,7 +197,8 @@ class ClosedLoop:
 
         Args:
             actions: Finite accelerations of the vehicles in `external` [m/s²]: x, y, and z of UAVs that have an
-                altitude. Shape (worlds, len(external), 3).
+                altitude; then the request for a role, see `sim.env.actions`. Shape (worlds, len(external),
+                ACTION_COLUMNS).
             worlds: Worlds to advance; all by default.
         """
         self._run(self._all if worlds is None else worlds, actions, 1)
@@ -232,13 +231,18 @@ class ClosedLoop:
         `certificate_broken` counts the ticks that it did not certify although the previous tick was certified and all
         assumptions held. Any count above zero is a fault of the certificate. `lost_without_clearance` counts the ticks
         that the filter certified with the UGV out of sight, while the UGV was nearer to a building than the filter may
-        assume: they are not counted as certified.
+        assume: they are not counted as certified. A UAV of a team also has the metrics of `TeamStatus`.
         """
         ticks, counts = self.state.batch.ticks, self.state.certificates[:, self.uavs.index(uav)]
         standings = self.state.rows.standings[:, self.names.index(uav)]
         watched = np.maximum(counts["ticks"], 1.0)
         counted = np.where(self.has_error, 1.0, np.nan)
-        return {
+        of_team: dict[str, FloatArray] = {}
+        if self.pilots is not None:
+            tables, state = self.pilots.tables.teams, self.pilots.state.teams
+            if tables is not None and state is not None:
+                of_team = team_metrics(tables, state, self.uavs.index(uav))
+        return of_team | {
             "ticks": ticks.astype(np.float64),
             "distance": standings["distance"].copy(),
             "max_distance": standings["max_distance"].copy(),
@@ -297,6 +301,14 @@ class ClosedLoop:
             shown[known, entry[f"relative_{axis}"]] = relative[known]
         shown[known, entry["age"]] = (now["age"] * self.scenario.dt)[known]
         return shown
+
+    def team_rows(self, uav: str) -> FloatArray:
+        """Return the team entries of a UAV's rows in all worlds. Shape (worlds, entries)."""
+        teams = self._pilot_state.teams
+        if teams is None:
+            raise ValueError("the scenario has no teams")
+        rows: FloatArray = teams.rows[:, self.uavs.index(uav)]
+        return rows
 
     def known_tiles(self, ugv: str) -> TileArray:
         """Return a UGV's occupancy grid, from its sensor and by radio, in each world. Shape (worlds, rows, columns)."""

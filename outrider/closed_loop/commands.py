@@ -16,6 +16,7 @@ from agents.safety.altitude import Acceleration
 from agents.safety.control import filter_control
 from agents.safety.decision import CERTIFIED, NOMINAL
 from agents.safety.pending import add_plans
+from agents.team.tick import role_accepts, role_control, role_filters
 from agents.uav_parameters import Target
 from agents.uav_tick import nominal_control
 from outrider.closed_loop.arrays import (
@@ -31,11 +32,19 @@ from outrider.closed_loop.arrays import (
     memory_of,
     reference_of,
 )
+from outrider.closed_loop.teams import (
+    Command,
+    clear_decision,
+    end_command,
+    end_commands,
+    take_request,
+)
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
 from sim.compiling.records import RecordArray, row_of
 from sim.engine.ground_state import GroundState
 from sim.engine.mission import goals_of, keeps_clearance, record_claim
 from sim.engine.monitor import Claim, record_decision
+from sim.env.actions import REQUEST
 from sim.models.vehicles import State
 
 _RELATIVE, _GROUND = range(2)
@@ -75,7 +84,10 @@ def _fly(
     else:
         action = actions[action_row]
         u_x, u_y, u_z = action[0], action[1], action[2]
-    if pilots.tables.filtered[uav]:
+        take_request(pilots.state.teams, world, uav, action[REQUEST])
+    u_x, u_y = role_control(constants.team, memory.team, inputs.own, constants.safety, (u_x, u_y))
+    certified, clear = False, True
+    if role_filters(memory.team, pilots.tables.filtered[uav] != 0):
         nominal = Acceleration(u_x, u_y, u_z)
         u_x, u_y, u_z = filter_control(
             constants.safety, constants.levels, memory.filter, inputs, nominal
@@ -84,7 +96,6 @@ def _fly(
         certified, overridden = decision.reason == CERTIFIED, decision.source != NOMINAL
         # a pilot without a detection sends no report
         reports = target.known or action_row >= 0
-        clear = True
         if ground is not None:
             clear = keeps_clearance(
                 ground.clearances, ground.missions[world], pilots.tables.receivers[uav]
@@ -96,6 +107,19 @@ def _fly(
         one.outgoing_trajectory, one.outgoing_trajectories = add_plans(
             constants.safety[0], memory.filter.pending, tick, batch.trajectories[world, vehicle]
         )
+    else:
+        clear_decision(memory.team, memory.filter.decision[0])
+    role_accepts(constants.team, memory.team, certified)
+    end_command(
+        pilots.tables.teams,
+        pilots.state.teams,
+        constants.team,
+        memory.team,
+        memory.uav[0],
+        memory.coverage,
+        (world, uav),
+        Command(tick, inputs.own, certified and clear, standing.lost),
+    )
     one.outgoing_tick, one.outgoing[0], one.outgoing[1] = tick, u_x, u_y
     one.vertical.outgoing = u_z
     parameters = pilots.tables.parameters
@@ -176,6 +200,7 @@ def command(
             _fly(tables, state, pilots, ground, _VehicleRow(world, v, row), actions)
         else:
             _drive(tables, state, pilots, ground, _VehicleRow(world, v, -1 - row), actions)
+    end_commands(pilots.tables.teams, pilots.state.teams, world)
 
 
 @compiled

@@ -19,6 +19,7 @@ from outrider.closed_loop.arrays import (
     inputs_of,
     memory_of,
 )
+from outrider.closed_loop.teams import begin_teams, collect_messages
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED, Packet
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
@@ -143,16 +144,26 @@ def perceive(
         pilot_state.detections[world],
     )
     elapsed = 1 if parameters.own_maps and tick > 0 else 0  # otherwise the world updates the map
+    teams, team_tables = pilot_state.teams, pilots.tables.teams
+    begin_teams(team_tables, teams, pilots.tables.uavs.team, tables.batch, batch, world)
     for u in range(escorts.shape[0]):
         arrived = batch.links[world, u].arrived
         _add_detections(batch.packets[world, u, ARRIVED], arrived, detections)
+        collect_messages(team_tables, teams, batch, world, u)
         inputs = inputs_of(tables, state, pilots, world, u, elapsed)
         constants, memory = constants_of(pilots.tables, world, u), memory_of(pilots, world, u)
         perceive_uav(constants, memory, inputs, pilots.tables.filtered[u] != 0)
         if pilots.tables.estimating[u]:
             row = world, u
             update_estimate(
-                constants.kalman[0], pilot_state.kalman, row, tick, inputs.own, detections, arrived
+                constants.kalman[0],
+                pilot_state.kalman,
+                row,
+                tick,
+                inputs.own,
+                detections,
+                arrived,
+                inputs.team,
             )
     if parameters.radio:
         _radio(tables, state, pilots, ground, world)

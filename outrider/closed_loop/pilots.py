@@ -20,6 +20,7 @@ from agents.laws.dispatch import CODES, law_memories, law_tables
 from agents.laws.selection import SelectedLaw
 from agents.safety.levels import bounds_of
 from agents.safety.memory import filter_memory, track_ticks
+from agents.team.records import TeamMemory, TeamParameters, team_memory
 from agents.uav_constants import UavConstants, uav_constants
 from agents.uav_parameters import UavParameters, uav_parameters
 from agents.uav_tick import UavMemory
@@ -30,8 +31,9 @@ from bus.messages.vehicle import UavBriefing, UgvBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS, EXTERNAL, LAWS
 from bus.ticks import radio_ticks
 from outrider.closed_loop.arrays import PilotParameters, Pilots, PilotState, PilotTables
+from outrider.closed_loop.teams import team_state, team_tables
 from sim.channel.link_records import no_packets
-from sim.compiling.compile import IntArray
+from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray, fresh, record_type
 from sim.engine.batch import Batch
 from sim.engine.briefing import uav_briefing, ugv_briefing
@@ -120,8 +122,25 @@ def _constants(briefings: Sequence[UavBriefing], most_levels: int, in_space: boo
         safety=table("safety", SafetyBounds),
         levels=levels,
         altitude=altitude,
-        team=None,
+        team=None if each[0].team is None else table("team", TeamParameters),
     )
+
+
+def _team_memories(
+    briefings: Sequence[UavBriefing], own_maps: Sequence[FloatArray]
+) -> TeamMemory | None:
+    """Return the memories of all UAVs in their teams; None: there are no teams. Shape (UAVs, ...)."""
+    most = max((len(one.mates) for one in briefings), default=0)
+    each = [
+        memory
+        for one, coverage in zip(briefings, own_maps, strict=False)
+        if (memory := team_memory(one, coverage, most)) is not None
+    ]
+    if not each:
+        return None
+    # each memory has one row of `own`, which is the row of its UAV here
+    parts = {name: np.stack([getattr(one, name) for one in each]) for name in TeamMemory._fields}
+    return TeamMemory(**parts | {"own": parts["own"][:, 0]})
 
 
 class OwnTables(NamedTuple):
@@ -163,8 +182,8 @@ class ChosenPilots:
         self._laws = self.check_laws(scenario)
         outside = np.array([name in external for name in uavs], dtype=np.bool_)
         watched = np.array([LAWS[law.name].watched for law in self._laws], dtype=np.bool_)
-        self.filtered = watched & ~outside | outside & shield
-        """True for each UAV with an active safety filter. Shape (UAVs,)."""
+        self.filtered = watched & ~outside | outside & shield | (scenario.team is not None)
+        """True for each UAV with an active safety filter; in a team, its role decides. Shape (UAVs,)."""
         self._estimating = ~outside
 
     def _briefings(self, scenario: Scenario) -> tuple[list[UavBriefing], list[UgvBriefing]]:
@@ -233,7 +252,10 @@ class ChosenPilots:
         parameters = PilotParameters(
             estimate=bool(settings.estimate),
             gradient=bool(settings.gradient),
-            own_maps=len(scenario.uav) > 1 or scenario.disturbed or scenario.has_altitude,
+            own_maps=len(scenario.uav) > 1
+            or scenario.disturbed
+            or scenario.has_altitude
+            or scenario.team is not None,
             radio=uses_radio(scenario, self._drivers(briefings)),
             radio_ticks=radio_ticks(dt),
             map_update_ticks=map_update_ticks(ground.map_update_rate, dt)
@@ -256,6 +278,7 @@ class ChosenPilots:
             ),
             scripts=scripts,
             script_rows=script_rows,
+            teams=team_tables(batch, self._uavs),
         )
 
     def _state(self, batch: Batch, settings: Settings, tables: PilotTables) -> PilotState:
@@ -267,7 +290,9 @@ class ChosenPilots:
         patch = given_patch(settings.coverage_patch)
         pixels = patch.pixels if patch else 1
         late = batch.links.longest(LinkKind.DETECTIONS)
-        depth = min(late + 1, history_depth(SPAN, scenario.dt))
+        depth = history_depth(SPAN, scenario.dt)
+        if scenario.team is None:  # measurements of team-mates may be older
+            depth = min(late + 1, depth)
         state = PilotState(
             uavs=self._memories(batch, tables, late),
             laws=law_memories(tables.laws, worlds),
@@ -284,6 +309,7 @@ class ChosenPilots:
             detections=np.zeros((worlds, room, 3)),
             positions=np.zeros((worlds, 2, tile_room), dtype=np.int64),
             states=np.zeros((worlds, tile_room), dtype=np.uint8),
+            teams=team_state(batch, tables.teams, self._uavs),
         )
         state.outbox["stamp"] = -1.0
         return state
@@ -311,7 +337,7 @@ class ChosenPilots:
             if scenario.has_altitude
             else None,
             filter=_repeated(fresh_filter, worlds, len(briefings)),
-            team=None,
+            team=_repeated(_team_memories(briefings, own_maps), worlds),
         )
 
     def _grids(self, worlds: int) -> OccupancyGrid:

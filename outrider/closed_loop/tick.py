@@ -7,6 +7,7 @@ world is processed in one pass, so that its grid stays in the cache until the ti
 from typing import Any
 
 from agents.estimation.batch_filter import estimate
+from agents.team.tick import law_coverage
 from agents.uav_parameters import Target, UavParameters
 from agents.uav_tick import occlusion_of
 from outrider.closed_loop.arrays import (
@@ -14,11 +15,15 @@ from outrider.closed_loop.arrays import (
     LoopTables,
     PilotParameters,
     Pilots,
+    constants_of,
     inputs_of,
     map_of,
+    memory_of,
+    reference_of,
 )
 from outrider.closed_loop.commands import apply_actions, command
 from outrider.closed_loop.perception import perceive
+from outrider.closed_loop.teams import begins_to_filter, is_filtered, observe_team
 from sim.channel.link_records import ARRIVED
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined, released
 from sim.compiling.records import RecordArray, row_of
@@ -31,6 +36,7 @@ from sim.engine.monitor import (
     record_end,
     record_interval,
     record_tracking_error,
+    reset_filter,
 )
 from sim.engine.world_state import Vehicle, WorldParameters
 from sim.engine.world_tick import begin_world, measure, world_tick
@@ -79,11 +85,23 @@ def _add_cues(
 
 
 @inlined
-def _add_pictures(tables: LoopTables, state: LoopState, pilots: Pilots, world: int) -> None:
-    """Write the UAVs' estimates and gradients into their rows, and draw their coverage patches."""
+def _complete_rows(tables: LoopTables, state: LoopState, pilots: Pilots, world: int) -> None:
+    """Write the UAVs' estimates, gradients and teams into their rows, and draw their coverage patches."""
     numbers = tables.batch.world[row_of(tables.batch.world.shape[0], world)]
     vehicles, parameters = state.batch.vehicles, pilots.tables.parameters
     uavs, patches, escorts = pilots.state.uavs, pilots.state.patches, tables.batch.escorts
+    episode = tables.rows.episode[0]
+    for u in range(escorts.shape[0]):
+        observe_team(
+            pilots.state.teams,
+            constants_of(pilots.tables, world, u).team,
+            memory_of(pilots, world, u).team,
+            (world, u),
+            reference_of(vehicles[world, escorts[u, 0]]),
+            state.batch.ticks[world],
+            numbers.dt,
+            episode.ticks * numbers.dt,
+        )
     if parameters.estimate or parameters.gradient:
         kalman, rows = pilots.state.kalman, state.rows.uav_rows
         for u in range(escorts.shape[0]):
@@ -94,14 +112,14 @@ def _add_pictures(tables: LoopTables, state: LoopState, pilots: Pilots, world: i
                 estimate(kalman, world, u),
                 kalman[world, u, 0].age,
                 uavs.uav[world, u],
-                map_of(uavs.coverage, world, u),
+                law_coverage(memory_of(pilots, world, u).team, map_of(uavs.coverage, world, u)),
                 occlusion_of(inputs_of(tables, state, pilots, world, u, 0)),
             )
     for u in range(patches.shape[1]):
         position = vehicles[world, escorts[u, 0]].reference_position
         x, y = position[0], position[1]
         sample(
-            map_of(uavs.coverage, world, u),
+            law_coverage(memory_of(pilots, world, u).team, map_of(uavs.coverage, world, u)),
             x,
             y,
             numbers.desired,
@@ -161,7 +179,7 @@ def _count_actions(
     escorts, batch, counts = tables.batch.escorts, state.batch, state.certificates
     row, monitored = row_of(pilots.tables.monitored.shape[0], world), pilots.tables.monitored
     for u in range(escorts.shape[0]):
-        if pilots.tables.filtered[u]:
+        if is_filtered(pilots.state.uavs.team, pilots.tables.filtered[u], world, u):
             v, committed = escorts[u, 0], batch.flown[world, escorts[u, 0], 0]
             _count_action(
                 monitored[row, u], counts[world, u], batch.vehicles[world, v], committed, tick
@@ -188,11 +206,17 @@ def _count_certificates(
             if ground is not None:
                 clear = keeps_clearance(ground.clearances, ground.missions[world], ugv)
             record_end(counts[world, u], standings[world, v].lost, clear)
-        elif pilots.tables.filtered[u]:
+            continue
+        filtered = is_filtered(pilots.state.uavs.team, pilots.tables.filtered[u], world, u)
+        if begins_to_filter(pilots.state.teams, filtered, world, u):
+            reset_filter(counts[world, u])
+        if filtered:
             come, arrived = batch.packets[world, u, ARRIVED], batch.links[world, u].arrived
             one, bounds = batch.vehicles[world, v], pilots.tables.monitored
             row = row_of(bounds.shape[0], world)
             _record_errors(bounds[row], counts[world], come, arrived, u, one, disturbed)
+        else:
+            counts[world, u].certified_before = False
 
 
 @released
@@ -215,7 +239,7 @@ def run_worlds(
     Args:
         tables, state, pilots, ground: Arrays of all worlds; they are changed.
         worlds: Worlds to advance.
-        actions: External actions of all worlds. Shape (worlds, external vehicles, 3).
+        actions: External actions of all worlds. Shape (worlds, external vehicles, ACTION_COLUMNS).
         ticks: Number of ticks.
         begin, end: Rows of `worlds` that this thread advances.
     """
@@ -245,6 +269,6 @@ def run_worlds(
             if tick == ticks - 1 or over:
                 observe_rows(tables.batch, batch, tables.rows, rows, k)
                 if pilots is not None:
-                    _add_pictures(tables, state, pilots, k)
+                    _complete_rows(tables, state, pilots, k)
             if over:
                 break

@@ -10,6 +10,7 @@ from agents.control.orbit import Path as VirtualPath
 from agents.control.weighting import Weighting
 from agents.estimation.map_updates import BLOCK_TILES, decode_tile
 from agents.uav import UavPilot
+from bus.errors import ScenarioError
 from bus.messages.ground import BLOCK_SIDE, TILE_LETTERS, MapUpdate
 from bus.messages.links import LinkKind
 from bus.messages.vehicle import (
@@ -125,7 +126,13 @@ def pilots(
         path: Path for the law `path`, instead of the scenario's.
 
     Raises:
-        ScenarioError: If a law or a driver of the scenario is not available.
+        ScenarioError: If a law or a driver of the scenario is not available, or the scenario has a team: the
+            environment itself applies its rules.
     """
+    if env.unwrapped.scenario.team is not None:
+        raise ScenarioError(
+            "team: in an environment the rules of the team act on the actions of its UAVs; allowed: the laws of "
+            "the UAVs in `others`, as in outrider.vector_env, or outrider.run"
+        )
     committed = _EnvPilots(env, weighting, path)
     return {name: partial(committed.act, name) for name in env.possible_agents}

@@ -21,7 +21,7 @@ from bus.observations import ALTITUDE, UAV, UGV, with_tables
 from outrider.envs.worlds import Worlds
 from sim.engine.briefing import briefing
 from sim.engine.run_keys import check_secret
-from sim.env.actions import check_by_agent, take_actions
+from sim.env.actions import ACTION_COLUMNS, check_by_agent, take_actions
 from sim.env.observation import AgentObservation, Array, one_of_world
 from sim.env.seeds import Seeds, check_options
 from sim.env.view import Rendering
@@ -105,7 +105,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """Secret that, with the seed, determines all random numbers. For the creator, not for policies."""
         self._np_random: np.random.Generator | None = None
         self._world: World | None = None
-        self._actions = np.zeros((1, len(self.possible_agents), 3))
+        self._actions = np.zeros((1, len(self.possible_agents), ACTION_COLUMNS))
         self._view = (
             None if render_mode is None else Rendering(render_mode, self.metadata["render_fps"])
         )
@@ -206,11 +206,12 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         )
 
     def _taken(self, actions: Mapping[str, Action]) -> list[list[float]]:
-        lengths = {name: self.worlds.action_lengths[name] for name in self.possible_agents}
+        columns = {name: self.worlds.action_columns[name] for name in self.possible_agents}
         plain = {
-            name: _acceleration(action, lengths.get(name, 0)) for name, action in actions.items()
+            name: _acceleration(action, len(columns.get(name, ())))
+            for name, action in actions.items()
         }
-        return take_actions(plain, lengths)
+        return take_actions(plain, columns)
 
     def _carry(self, world: World, name: str, command: UavCommand | UgvCommand) -> None:
         """Apply the other parts of a command: backup trajectories, a claim and a route."""

@@ -99,9 +99,11 @@ class SingleEnv(gymnasium.Env[Any, Any]):
                 else "before reset()"
             )
             raise ResetNeeded(f"step() {when}")
-        length = self.worlds.action_lengths[self.agent]
-        (taken,) = take_actions({self.agent: action}, {self.agent: length})
-        self._over = bool(self.worlds.step({self.agent: [taken[:length]]})[0])
+        columns = self.worlds.action_columns[self.agent]
+        (taken,) = take_actions({self.agent: action}, {self.agent: columns})
+        self._over = bool(
+            self.worlds.step({self.agent: [[taken[column] for column in columns]]})[0]
+        )
         (terminated,), (truncated,) = (flags.tolist() for flags in self.worlds.ends())
         return (
             self._observation(),

@@ -5,6 +5,7 @@ import numpy as np
 from bus.observations import (
     ALTITUDE,
     STATE,
+    TEAM_STATE,
     UAV,
     UAV_STATE,
     UGV_STATE,
@@ -21,10 +22,11 @@ from sim.models.field import coverage_error, coverage_shares
 from sim.scenario.types import Scenario, Uav, Ugv
 
 
-def _table(vehicle: Uav | Ugv) -> Table:
+def _table(vehicle: Uav | Ugv, *, teamed: bool) -> Table:
     if isinstance(vehicle, Ugv):
         return UGV_STATE
-    return UAV_STATE + (() if vehicle.initial_altitude is None else ALTITUDE)
+    own = UAV_STATE + (() if vehicle.initial_altitude is None else ALTITUDE)
+    return own + (TEAM_STATE if teamed else ())
 
 
 class TrueState:
@@ -38,7 +40,10 @@ class TrueState:
 
     def __init__(self, scenario: Scenario, loop: ClosedLoop, dtype: type[np.floating]) -> None:
         self._scenario, self._loop = scenario, loop
-        tables = {vehicle.name: _table(vehicle) for vehicle in scenario.vehicles}
+        self._teamed = scenario.team is not None
+        tables = {
+            vehicle.name: _table(vehicle, teamed=self._teamed) for vehicle in scenario.vehicles
+        }
         self._tables = [tables[name] for name in loop.names]
         self.names = state_names(tables.items())
         """Names of the entries."""
@@ -71,10 +76,13 @@ class TrueState:
         late = self._scenario.ticks * self._scenario.dt
         newest = standing["newest"]
         age = np.where(newest >= 0.0, time - newest * self._scenario.dt, late)
-        higher = len(self._tables[number]) - len(UAV_STATE)
-        own = row[:, len(UAV) : len(UAV) + higher]
         columns = (standing["distance"], self._error(number, uav), age)
-        return np.concatenate((row[:, 1:5], np.column_stack(columns), own), axis=1)
+        parts = [row[:, 1:5], np.column_stack(columns)]
+        if ALTITUDE[0] in self._tables[number]:
+            parts.append(row[:, len(UAV) : len(UAV) + len(ALTITUDE)])
+        if self._teamed:
+            parts.append(self._loop.team_rows(self._loop.uavs[uav])[:, : len(TEAM_STATE)])
+        return np.concatenate(parts, axis=1)
 
     def _error(self, number: int, uav: int) -> FloatArray:
         """Return e(t) of a UAV [m²]; it is computed here if the loop does not."""

@@ -23,12 +23,12 @@ from outrider.envs.true_state import TrueState
 from outrider.running.metrics import MISSION, numbers
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
-from sim.env.actions import check_by_agent, take_batch
+from sim.env.actions import ACTION_COLUMNS, check_by_agent, take_batch
 from sim.env.observation import AgentObservation, Array, ObservationFormat
 from sim.env.reward_function import rewards_by
 from sim.env.seeds import Seeds, check_options
 from sim.env.settings import settings_of
-from sim.env.spaces import action_space
+from sim.env.spaces import action_columns, action_space
 from sim.env.standings import true_metrics
 from sim.env.view import BatchRendering
 from sim.scenario.loading import given_scenario
@@ -115,16 +115,19 @@ class Worlds:
         self.scenario = self.loop.scenario
         """Scenario of all worlds, as in `ClosedLoop`."""
         self._format = ObservationFormat(self.scenario, options)
+        asks = options.roles == "action"
         self.action_spaces = {
-            v.name: action_space(self.scenario, v) for v in self.scenario.vehicles
+            v.name: action_space(self.scenario, v, asks=asks) for v in self.scenario.vehicles
         }
-        self.action_lengths = {name: one.shape[0] for name, one in self.action_spaces.items()}
-        """Number of entries of an action, by vehicle."""
+        self.action_columns = {
+            v.name: action_columns(self.scenario, v, asks=asks) for v in self.scenario.vehicles
+        }
+        """Columns of an action's entries in an array of actions, by vehicle."""
         self.observation_spaces = self._format.spaces
         self.true_state = TrueState(self.scenario, self.loop, self.state_dtype)
         """State of all worlds, with its space and the names of its entries."""
         self._seeds = [Seeds() for _ in range(self.num_envs)]
-        self._actions: FloatArray = np.zeros((self.num_envs, len(self._external), 3))
+        self._actions: FloatArray = np.zeros((self.num_envs, len(self._external), ACTION_COLUMNS))
         self._paid: FloatArray = np.zeros((self.num_envs, len(names)))
         self.has_episode = False
         """True after the first reset."""
@@ -159,6 +162,8 @@ class Worlds:
         row = as_rows(loop.state.rows.uav_rows)[:, loop.uavs.index(name), form.columns[name]]
         if name in form.estimated:
             row = loop.with_estimate(name, row)
+        if count := form.team_entries[name]:
+            row = np.concatenate((row, loop.team_rows(name)[:, :count]), axis=1)
         return form.shown(name, row, coverage=coverage)
 
     def standings(self, name: str) -> RecordArray:
@@ -170,8 +175,9 @@ class Worlds:
         return self.loop.mission(world) if self.scenario.has_ground else None
 
     def is_filtered(self, name: str) -> bool:
-        """Return whether a vehicle has external actions that pass through the safety filter."""
-        return self.settings.safety_filter and name in self._external and name in self.loop.uavs
+        """Return whether a vehicle has external actions that pass the safety filter, in a team in some of its roles."""
+        filtered = self.settings.safety_filter or self.scenario.team is not None
+        return filtered and name in self._external and name in self.loop.uavs
 
     def _facts(self, name: str) -> dict[str, npt.NDArray[Any]]:
         """Return a vehicle's own facts that are not in its row, in all worlds.
@@ -309,8 +315,8 @@ class Worlds:
         taken += [
             self._taken(name, policy(self.observe(name))) for name, policy in self._policies.items()
         ]
-        for row, action in enumerate(taken):
-            self._actions[:, row, : action.shape[1]] = action
+        for row, (name, action) in enumerate(zip(self._external, taken, strict=True)):
+            self._actions[:, row, self.action_columns[name]] = action
         self.advance(self._actions, which)
         if self._view is not None:
             self._view.follow()
@@ -319,7 +325,7 @@ class Worlds:
         return ended
 
     def _taken(self, name: str, actions: npt.ArrayLike) -> FloatArray:
-        return take_batch(name, actions, self.num_envs, self.action_lengths[name])
+        return take_batch(name, actions, self.num_envs, self.action_columns[name])
 
     def advance(self, actions: FloatArray, which: IntArray | None = None) -> None:
         """Advance worlds by one tick with the actions of `ClosedLoop.step`, and pay the rewards."""

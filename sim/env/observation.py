@@ -7,11 +7,23 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from bus.observations import ALTITUDE, GRADIENT, UAV, UGV, Row, Table, bounds, names, without
+from bus.observations import (
+    ALTITUDE,
+    GRADIENT,
+    UAV,
+    UGV,
+    Row,
+    Table,
+    bounds,
+    names,
+    team_table,
+    without,
+)
 from sim.env.patch import check_tile_patch, given_patch
 from sim.env.settings import Settings
 from sim.env.spaces import box, extent_of
 from sim.models.ground import OUTSIDE, TileArray, tile_patches
+from sim.scenario.team import mates_of
 from sim.scenario.types import Scenario, Uav, Ugv
 
 _X = names(UGV).index("x")
@@ -26,10 +38,16 @@ def one_of_world(seen: AgentObservation, k: int) -> AgentObservation:
     return {key: array[k] for key, array in seen.items()} if isinstance(seen, dict) else seen[k]
 
 
-def uav_table(*, altitude: bool, gradient: bool, omit: Sequence[str] = ()) -> Table:
-    """Return the entries of a UAV's row, in the order of `sim.env.rows.RowState.uav_rows`."""
+def uav_table(*, altitude: bool, gradient: bool, mates: int = 0, omit: Sequence[str] = ()) -> Table:
+    """Return the entries of a UAV's row, in the order of `sim.env.rows.RowState.uav_rows`.
+
+    Args:
+        altitude: True for a UAV that has an altitude.
+        gradient, omit: As in `sim.env.settings.Settings`.
+        mates: UAVs of its team, itself included; 0: it has no team.
+    """
     table = UAV + (ALTITUDE if altitude else ()) + (GRADIENT if gradient else ())
-    return without(table, omit)
+    return without(table, omit) + team_table(mates)
 
 
 def uav_space(
@@ -38,6 +56,7 @@ def uav_space(
     estimate: bool,
     gradient: bool,
     altitude: bool = False,
+    mates: int = 0,
     omit: Sequence[str] = (),
     pixels: int,
     dtype: type[np.floating],
@@ -47,10 +66,10 @@ def uav_space(
     Args:
         extent: Values of `bus.observations.SYMBOLS`.
         estimate, gradient, omit, dtype: As in `sim.env.settings.Settings`.
-        altitude: True for a UAV that has an altitude.
+        altitude, mates: As in `uav_table`.
         pixels: Pixels per side of the picture of its map; 0: no picture.
     """
-    table = uav_table(altitude=altitude, gradient=gradient, omit=omit)
+    table = uav_table(altitude=altitude, gradient=gradient, mates=mates, omit=omit)
     row = box(*bounds(table, extent | ({"d_max": extent["D"]} if estimate else {})), dtype)
     if not pixels:
         return row
@@ -76,6 +95,7 @@ class ObservationFormat:
     def __init__(self, scenario: Scenario, settings: Settings) -> None:
         settings.check_agents([vehicle.name for vehicle in scenario.vehicles])
         self._settings = {one.name: settings.of_agent(one.name) for one in scenario.vehicles}
+        self._mates = {uav.name: len(mates_of(scenario, uav.name)) for uav in scenario.uav}
         self.pictured = {
             name for name, own in self._settings.items() if own.coverage_patch is not None
         }
@@ -93,15 +113,19 @@ class ObservationFormat:
         """Space of an observation in one world, by vehicle."""
         full = names(uav_table(altitude=True, gradient=True))
         self.columns = {
-            uav.name: [full.index(name) for name in names(self._table(uav))] for uav in scenario.uav
+            uav.name: [full.index(name) for name in names(self._table(uav)) if name in full]
+            for uav in scenario.uav
         }
-        """Columns of each UAV's row in `sim.env.rows.RowState.uav_rows`."""
+        """Columns of each UAV's row in `sim.env.rows.RowState.uav_rows`; the entries of its team follow."""
+        self.team_entries = {name: len(team_table(count)) for name, count in self._mates.items()}
+        """Entries of each UAV's row about its team; 0: it has none."""
         self._bounds = {name: _row_bounds(space) for name, space in self.spaces.items()}
 
     def _table(self, uav: Uav) -> Table:
         return uav_table(
             altitude=uav.initial_altitude is not None,
             gradient=bool(self._settings[uav.name].gradient),
+            mates=self._mates[uav.name],
             omit=tuple(self._settings[uav.name].omit),
         )
 
@@ -120,6 +144,7 @@ class ObservationFormat:
             estimate=bool(own.estimate),
             gradient=bool(own.gradient),
             altitude=altitude,
+            mates=self._mates[vehicle.name],
             omit=tuple(own.omit),
             pixels=pixels,
             dtype=dtype,

@@ -26,7 +26,7 @@ class RewardWeights:
     Without `uncovered`, e(t) itself is not computed, which is faster.
     """
     sight_lost: float = 10.0
-    """UAV: cost each time that the UGV gets out of sight."""
+    """UAV: cost each time that the UGV gets out of sight: of all UAVs of its team, or of a UAV without one."""
     out_of_sight: float = 2.0
     """UAV: cost while the UGV is out of sight, and for the rest of an episode that ends because of it [1/s]."""
     progress: float = 1.0
@@ -41,6 +41,8 @@ class RewardWeights:
     """UGV: cost for each hazard hit."""
     still: float = 0.0
     """UGV: cost while it stands still before arrival, on ground with hazards [1/s]."""
+    team: bool = False
+    """UAV: True to share the reward: each UAV of a team receives the mean over its team."""
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -98,7 +100,7 @@ def uav_terms(
         error: Coverage error e(t) [m²].
         gain: Decrease of e(t) by its last sensor update [m²].
         full: `full_error` [m²].
-        lost: True if the UGV is out of sight.
+        lost: True if the UGV is out of sight: of all UAVs of its team, or of a UAV without one.
         was_lost: True if it was at the previous tick.
         ticks_lost: Ticks charged while out of sight: one, or the rest of the episode if it ends because of that.
         acceleration: Applied acceleration [m/s²].

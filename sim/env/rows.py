@@ -17,6 +17,7 @@ from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rewards import UAV_TERMS, RewardWeights, full_error, uav_terms, ugv_terms
 from sim.env.settings import Settings
 from sim.models.vehicles import next_goal, norm
+from sim.scenario.team import observer_rows
 from sim.scenario.types import Scenario, Uav
 
 
@@ -25,9 +26,11 @@ class Standing:
 
     newest: float = -1.0
     """Tick of the newest detection that has reached a UAV; -1: none."""
-    was_lost: bool
     lost: bool
-    """True if the UGV was, or is, out of sight."""
+    """True if the UGV is out of a UAV's sight."""
+    was_unseen: bool
+    unseen: bool
+    """True if no UAV of a UAV's team saw, or sees, the UGV; without a team, if it is out of the UAV's sight."""
     sight_radius: float
     """Distance within which the UGV is visible [m], 0 while a building hides it."""
     distance: float
@@ -83,6 +86,8 @@ class RowTables(NamedTuple):
     """`RewardWeights`. Shape (1,)."""
     kind_row: IntArray
     """Row of each vehicle among the UAVs, or -1 - its row among the UGVs. Shape (vehicles,)."""
+    observer: IntArray
+    """Row of each UAV's team; each UAV without one has a row of its own. Shape (UAVs,)."""
 
 
 class RowState(NamedTuple):
@@ -117,10 +122,15 @@ def row_tables(scenario: Scenario, settings: Settings, *, error: bool) -> RowTab
         end_on_goals=settings.end_on_goals_reached,
         error=error or settings.rewards.uncovered > 0.0,
     )
+    groups = observer_rows(scenario)
+    observer = np.zeros(int(flies.sum()), np.int64)
+    for number, group in enumerate(groups):
+        observer[group] = number
     return RowTables(
         episode=records(EpisodeParameters, [episode]),
         weights=records(RewardWeights, [settings.rewards]),
         kind_row=np.where(flies, np.cumsum(flies) - 1, -np.cumsum(~flies)).astype(np.int64),
+        observer=observer,
     )
 
 
@@ -142,7 +152,6 @@ def _measure_uav(bt: BatchTables, bs: BatchState, state: RowState, world: int, u
     v = bt.escorts[uav, 0]
     row, vehicle = state.standings[world, v], bs.vehicles[world, v]
     distance, error = vehicle.distance, vehicle.coverage_error
-    row.was_lost = row.lost
     row.sight_radius = vehicle.sight_radius
     row.lost = distance >= row.sight_radius
     row.distance = distance
@@ -153,6 +162,18 @@ def _measure_uav(bt: BatchTables, bs: BatchState, state: RowState, world: int, u
     for n in range(bs.links[world, uav].arrived):
         stamp = bs.packets[world, uav, ARRIVED, n].stamp
         row.newest = max(row.newest, stamp)
+
+
+@inlined
+def _measure_teams(bt: BatchTables, tables: RowTables, state: RowState, world: int) -> None:
+    """Determine whether any UAV of each UAV's team sees the UGV."""
+    observer = tables.observer
+    for u in range(observer.shape[0]):
+        row, unseen = state.standings[world, bt.escorts[u, 0]], True
+        for mate in range(observer.shape[0]):
+            if observer[mate] == observer[u]:
+                unseen = unseen and state.standings[world, bt.escorts[mate, 0]].lost
+        row.was_unseen, row.unseen = row.unseen, unseen
 
 
 @inlined
@@ -192,7 +213,7 @@ def _end(bt: BatchTables, tables: RowTables, state: RowState, world: int, left: 
     """Determine whether the episode is over; return the ticks charged to a UAV out of sight."""
     lost, goals = False, bt.goals.shape[0]
     for v in range(state.standings.shape[1]):
-        lost = lost or state.standings[world, v].lost
+        lost = lost or state.standings[world, v].unseen
         goals -= state.standings[world, v].reached
     lost = tables.episode[0].end_on_sight_lost and lost
     arrived = tables.episode[0].end_on_goals and bt.goals.shape[0] > 0 and goals == 0
@@ -228,8 +249,8 @@ def _pay(
                 row.error,
                 vehicle.gain,
                 episode.full,
-                row.lost,
-                row.was_lost,
+                row.unseen,
+                row.was_unseen,
                 ticks_lost,
                 acceleration,
                 dt,
@@ -242,6 +263,23 @@ def _pay(
         row.reward = 0.0
         for n in range(terms.shape[0]):
             row.reward += terms[n]
+
+
+@inlined
+def _share(bt: BatchTables, tables: RowTables, state: RowState, world: int) -> None:
+    """Give each UAV the mean reward of its team."""
+    observer, standings = tables.observer, state.standings
+    for first in range(observer.shape[0]):
+        count, total = 0, 0.0
+        for u in range(observer.shape[0]):
+            if observer[u] == observer[first]:
+                if u < first:
+                    break  # the team has shared already
+                total += standings[world, bt.escorts[u, 0]].reward
+                count += 1
+        for u in range(first, observer.shape[0]):
+            if count > 0 and observer[u] == observer[first]:
+                standings[world, bt.escorts[u, 0]].reward = total / count
 
 
 @compiled
@@ -265,6 +303,7 @@ def advance_rows(
     """
     for u in range(state.uav_rows.shape[1]):
         _measure_uav(bt, bs, state, world, u)
+    _measure_teams(bt, tables, state, world)
     for g in range(state.ugv_rows.shape[1]):
         _measure_ugv(bt, bs, state, world, g, beginning)
         if ground is not None:
@@ -272,6 +311,8 @@ def advance_rows(
     if not beginning:
         ticks_lost = _end(bt, tables, state, world, tables.episode[0].ticks - bs.ticks[world])
         _pay(bt, bs, ground, tables, state, world, ticks_lost)
+        if tables.weights[0].team:
+            _share(bt, tables, state, world)
 
 
 @inlined

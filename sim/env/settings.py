@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -36,7 +36,7 @@ class Settings:
     its weighted terms. None: all do.
     """
     end_on_sight_lost: bool = True
-    """True: an episode terminates when a UAV loses sight of its UGV."""
+    """True: an episode terminates when a UAV loses sight of its UGV; in a team, when all its UAVs have."""
     end_on_goals_reached: bool = False
     """True: an episode terminates when every UGV with goals has reached all of them."""
     coverage_patch: CoveragePatch | tuple[int, float] | Mapping[str, Any] | None = None
@@ -61,7 +61,11 @@ class Settings:
     omit: Sequence[str] | Mapping[str, Sequence[str]] = ()
     """Parts left out of the UAVs' rows: `time`, `position` (x and y), or both."""
     safety_filter: bool = False
-    """True: the UAVs' actions pass the safety filter, as in the law `certified`."""
+    """True: the UAVs' actions pass the safety filter, as in the law `certified`. In a team, their roles decide."""
+    roles: Literal["rules", "action"] = "rules"
+    """Roles of a team's UAVs. "rules": as in a run. "action": each action has a last entry: from 0.5 on it asks its UAV
+    to guard, up to -0.5 it asks for relief, as an operator does; the rules decide what is safe.
+    """
     others: Mapping[str, str | BatchPolicy] | None = None
     """Control of the other vehicles: a law, driver or saved policy by name, such as `npz:FILE.npz`, or a policy for all
     worlds; None: the scenario's law and drivers.
@@ -93,6 +97,8 @@ class Settings:
                 f"randomize = {self.randomize!r}; allowed: ranges by field, "
                 "such as {'uav.*.max_speed': [0.4, 0.8]}, or None"
             )
+        if self.roles not in ("rules", "action"):
+            raise ValueError(f"roles = {self.roles!r}; allowed: 'rules', 'action'")
         check_secret(self.secret)
         for dtype in _values(self.dtype):
             check_dtype(dtype)

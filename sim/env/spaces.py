@@ -7,6 +7,7 @@ import numpy as np
 from gymnasium import spaces
 
 from bus.observations import OMITTED, ROUNDING, largest
+from sim.env.actions import PLANAR, REQUEST, SPATIAL
 from sim.scenario.safety import largest_error
 from sim.scenario.types import Scenario, Uav, Ugv, altitude_limits
 
@@ -61,10 +62,23 @@ def box(low: Sequence[float], high: Sequence[float], dtype: type[np.floating]) -
     return spaces.Box(np.array(low, dtype=dtype), np.array(high, dtype=dtype), dtype=dtype)
 
 
-def action_space(scenario: Scenario, vehicle: Uav | Ugv) -> spaces.Box:
+def action_columns(scenario: Scenario, vehicle: Uav | Ugv, *, asks: bool) -> tuple[int, ...]:
+    """Return the columns of a vehicle's action in an array of actions; `asks`: as in `action_space`."""
+    if not isinstance(vehicle, Uav):
+        return PLANAR
+    columns = PLANAR if altitude_limits(scenario, vehicle) is None else SPATIAL
+    return (*columns, REQUEST) if asks and scenario.team is not None else columns
+
+
+def action_space(scenario: Scenario, vehicle: Uav | Ugv, *, asks: bool = False) -> spaces.Box:
     """Return the square [-u_max, u_max]² [m/s²]; the world shortens vectors that are longer than u_max.
 
-    A UAV that has an altitude has a third entry, its vertical acceleration [m/s²].
+    A UAV that has an altitude has a third entry, its vertical acceleration [m/s²]. If it asks for its role in a team,
+    the last entry is its request, from -1 to 1.
+
+    Args:
+        scenario, vehicle: The vehicle.
+        asks: True if UAVs of a team ask for their roles.
     """
     limit = (
         FREE_ACCELERATION
@@ -75,4 +89,6 @@ def action_space(scenario: Scenario, vehicle: Uav | Ugv) -> spaces.Box:
     own = altitude_limits(scenario, vehicle) if isinstance(vehicle, Uav) else None
     if own is not None:
         most.append(own.max_vertical_acceleration)
+    if REQUEST in action_columns(scenario, vehicle, asks=asks):
+        most.append(1.0)
     return box([-one for one in most], most, np.float64)

@@ -52,7 +52,7 @@ class _Meter:
         state = self._loop.state
         uavs, ugvs = self._loop.tables.batch.escorts.T
         standings = state.rows.standings[:, uavs]
-        self.in_sight &= ~standings["lost"].any(axis=1)
+        self.in_sight &= ~standings["unseen"].any(axis=1)
         positions = state.batch.vehicles["position"][:, ugvs]
         which = np.flatnonzero(self.in_sight)
         if which.size == 0:
@@ -122,7 +122,7 @@ def evaluate(
     $$ S = \frac{100}{N + 1} \sum_{k < k_{lost}} \left( 1 - \frac{e(t_k)}{e_0(t_k)} \right) $$
 
     e is the paper's (4), and e_0 is its value at the same tick without any coverage. N is the number of ticks of the
-    task, and k_lost the tick at which any UAV loses sight: later ticks score zero.
+    task, and k_lost the tick at which any UAV, or all UAVs of a team, lose sight: later ticks score zero.
 
     Args:
         task: Task to run.

@@ -129,7 +129,13 @@ def evaluate_mission(
         secret=secret,
         mean_error=math.nan,
         lost=int(
-            np.any([one["visibility_violations"] > 0.0 for one in flown.values()], axis=0).sum()
+            np.any(
+                [
+                    one.get("team_out_of_sight", one["visibility_violations"]) > 0.0
+                    for one in flown.values()
+                ],
+                axis=0,
+            ).sum()
         ),
         arrived=sum(mission.arrived for mission in missions),
         mission_time=_mean([mission.mission_time for mission in missions]),

@@ -28,7 +28,7 @@ Entry = str | BatchPolicy | Team
 
 SETTINGS = (
     *("estimate", "gradient", "omit", "safety_filter", "coverage_patch", "dtype"),
-    "threads",
+    *("roles", "threads"),
 )
 """Observation and action settings of a policy. Everything else belongs to the task."""
 
@@ -105,6 +105,11 @@ def score_interval(scores: Sequence[float]) -> tuple[float, float, float]:
     return score, max(low, 0.0), min(high, 100.0)  # this argument order keeps NaN
 
 
+def _sum(flown: Mapping[str, Mapping[str, FloatArray]], *counts: str) -> int:
+    """Return the sum of these counts over UAVs and episodes."""
+    return sum(int(one[count].sum()) for one in flown.values() for count in counts if count in one)
+
+
 def result_of(
     kind: type[_Scored],
     task: Task,
@@ -138,7 +143,7 @@ def result_of(
         scores=tuple(scores),
         episodes=len(scores),
         secret=secret,
-        certified_while_lost=sum(int(one["certified_while_lost"].sum()) for one in flown.values()),
-        certificate_broken=sum(int(one["certificate_broken"].sum()) for one in flown.values()),
+        certified_while_lost=_sum(flown, "certified_while_lost", "team_certified_while_lost"),
+        certificate_broken=_sum(flown, "certificate_broken", "team_certificate_broken"),
         **fields,
     )
