@@ -25,7 +25,7 @@ from outrider.running.flying import fly
 from properties import PROPERTY
 from reference_field import FloatGrid
 from sim.models.vehicles import step_vehicle
-from sim.scenario.checks import largest_circle_rate
+from sim.scenario.laws import largest_circle_rate
 from sim.scenario.types import Scenario, Uav, Ugv
 from sim.server.flight import Flight
 

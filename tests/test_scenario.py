@@ -19,7 +19,7 @@ from properties import PROPERTY
 from refusals import SHIPPED, SMALL, refusal, written
 from sim.engine.briefing import briefing
 from sim.models.vehicles import step_vehicle
-from sim.scenario import checks
+from sim.scenario import laws
 from sim.scenario.checks import check_scenario, scenario_warnings
 from sim.scenario.loading import load_scenario, scenario_names
 from sim.scenario.types import Uav
@@ -198,7 +198,7 @@ def test_controller_with_an_unstable_root_is_refused(a, b, c, d):
         ESCORT, law=Law(parameters={"a_c": a, "b_c": b, "c_c": c, "d_c": d})
     )
     if abs(largest) > 1e-6:
-        assert (not list(checks.controller_is_stable(s))) == (largest < 0.0)
+        assert (not list(laws.controller_is_stable(s))) == (largest < 0.0)
 
 
 # Warnings

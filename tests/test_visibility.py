@@ -17,7 +17,7 @@ from flights import DT, HERE, R_S, R_V, U_A, V_A, V_G, briefing_of, distances, e
 from outrider.running.flying import fly
 from properties import PROPERTY
 from sim.models.vehicles import raw_switching_radius
-from sim.scenario.checks import switching_radius_is_positive
+from sim.scenario.laws import switching_radius_is_positive
 from sim.scenario.types import Coverage, Scenario, Uav, Ugv
 
 speeds = st.floats(0.01, 5.0)

@@ -282,7 +282,9 @@ class Status(Message, frozen=True, kw_only=True):
     paused: bool = False
     """True while the run is paused."""
     law: Name = DEFAULT_LAW
-    """Current control law of the UAVs."""
+    """Control law of the UAVs, as selected last."""
+    laws: dict[Name, Name] = {}
+    """Current control law of each UAV that flies another one."""
     drivers: dict[Name, Name] = {}
     """Current driver of each UGV."""
     operators: dict[Name, Name] = {}

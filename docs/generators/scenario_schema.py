@@ -58,7 +58,8 @@ def scenario_schema() -> dict[str, Any]:
         docs = field_docs(struct) if "properties" in table else {}
         for field, entry in docs.items():
             table["properties"][field]["description"] = entry
-    tables["Law"]["properties"]["parameters"]["properties"] = law_parameters_schema()
+    for name in ("Law", "OwnLaw"):
+        tables[name]["properties"]["parameters"]["properties"] = law_parameters_schema()
     driver = tables["Ugv"]["properties"]["driver"]
     driver["pattern"] = f"{driver['pattern']}|^[a-z0-9_-]+:."
     profile = {

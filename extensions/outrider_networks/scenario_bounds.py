@@ -127,7 +127,7 @@ def bounds_for(scenario: Scenario, risk: float) -> Bounds:
 
 
 def _check_law(scenario: Scenario) -> None:
-    if not scenario.uav or not scenario.filtered:
+    if not any(map(scenario.filters, scenario.uav)):
         names = ", ".join(name for name, row in LAWS.items() if row.watched)
         wrong = "no UAV relies on declared bounds"
         raise Fault("law.name", scenario.law.name, wrong, f"{names}, and a UAV").error(

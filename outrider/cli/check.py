@@ -17,6 +17,7 @@ from outrider.running.resolve import resolve
 from outrider.running.user_code import foreign_code
 from sim.engine.briefing import uav_briefing
 from sim.scenario.checks import scenario_warnings
+from sim.scenario.laws import law_title
 from sim.scenario.types import NO_UAV
 
 _LISTED = 12
@@ -77,10 +78,10 @@ def command(
     names = [vehicle.name for vehicle in scenario.vehicles]
     many = f"{len(scenario.uav):,} UAVs and {len(scenario.ugv):,} UGVs"
     vehicles = ", ".join(names) if len(names) <= _LISTED else many
-    law_text = f"law {scenario.law.name}" if scenario.uav else NO_UAV
+    law_text = f"law {law_title(scenario)}" if scenario.uav else NO_UAV
     if certifiable not in (None, "always"):
         law_text += f", sight {certifiable} certified"
-    for uav in scenario.uav if certifiable is not None else ():
+    for uav in filter(scenario.filters, scenario.uav):
         lowest = certified_from(uav_briefing(scenario, uav.name, scenario.seed))
         if lowest:
             OUT.tell(f"{uav.name}: {lowest}")

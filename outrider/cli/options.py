@@ -40,7 +40,7 @@ LawName = Annotated[
     str | None,
     typer.Option(
         "--law",
-        help=f"Set the UAVs' law. {described(LAWS)}.",
+        help=f"Set the law of all UAVs, whatever the scenario names. {described(LAWS)}.",
     ),
 ]
 DriverName = Annotated[

@@ -10,6 +10,7 @@ from bus.files import writing
 from outrider.cli.console import OUT, print_json, print_table
 from outrider.cli.options import Json
 from outrider.cli.standard_files import print_text
+from sim.scenario.laws import law_title
 from sim.scenario.loading import load_scenario, scenario_names, schema_text, shipped_text
 
 Name = Annotated[str, typer.Argument(help="Name of a shipped scenario.")]
@@ -39,7 +40,7 @@ def command(
             {
                 "name": s.name,
                 "title": s.title,
-                "law": s.law.name,
+                "law": law_title(s),
                 "duration": s.duration,
                 "seed": s.seed,
             }
@@ -47,7 +48,7 @@ def command(
         ]
         print_json({"scenarios": rows})
         return
-    listed = [(s.name, s.law.name, f"{s.duration:g} s", s.title) for s in shipped]
+    listed = [(s.name, law_title(s), f"{s.duration:g} s", s.title) for s in shipped]
     whole = ("name", "law", "time")
     print_table((*whole, "title"), listed, right=("time",), whole=whole)
 

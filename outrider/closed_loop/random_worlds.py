@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from agents.safety.levels import MOST_LEVELS
@@ -16,6 +15,7 @@ from outrider.running.assumptions import shortfalls
 from sim.compiling.compile import FloatArray, IntArray
 from sim.engine.batch import Batch
 from sim.env.randomization import Randomization
+from sim.scenario.laws import with_law
 from sim.scenario.types import Scenario
 
 _COMMON = "codes"
@@ -58,7 +58,7 @@ def _check_corners(randomization: Randomization, given: Scenario, chosen: Chosen
     filtered = chosen.filtered.any()
 
     def broken(scenario: Scenario) -> dict[tuple[str, str], str]:
-        inside = msgspec.structs.replace(scenario, law=Law(name=watched))
+        inside = with_law(scenario, Law(name=watched))
         return {(one.uav, one.assumption): one.line for one in shortfalls(inside)}
 
     before = broken(given) if filtered else {}

@@ -139,7 +139,7 @@ def restore(recording: Recording) -> Flight:
 def _repeat(flight: Flight, control: Control) -> None:
     """Repeat an operator's change of law or driver; without a vehicle it applies to all UGVs."""
     if control.action is Action.LAW and control.law is not None:
-        flight.law = control.law
+        flight.assign_law(control.law)
     elif control.action is Action.DRIVER and control.driver is not None:
         for name in flight.drivers:
             if control.vehicle in (None, name):

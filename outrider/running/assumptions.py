@@ -98,9 +98,9 @@ def _assumption_warnings(scenario: Scenario, links: LinkTable | None) -> tuple[s
 
 def _perfect_detectors(scenario: Scenario) -> Iterator[str]:
     """Warn of each UAV whose certificate relies on detections without any error."""
-    if not scenario.filtered:
-        return
     for uav in scenario.uav:
+        if not scenario.filters(uav):
+            continue
         if safety_parameters(scenario, uav.name).max_measurement_error == 0.0:
             source = (
                 "certificate.max_measurement_error"
@@ -117,12 +117,12 @@ def how_certifiable(scenario: Scenario) -> str | None:
     """Return how often sight can be certified, as far as known in advance.
 
     Returns:
-        `always`, `not always`, `hardly ever` or `never` (for each UAV); None for laws without a safety filter.
+        `always`, `not always`, `hardly ever` or `never` (for each UAV with a safety filter); None if none has one.
     """
     if not scenario.uav or not scenario.filtered:
         return None
-    found = shortfalls(scenario)
-    if len({one.uav for one in found if one.frequency is Frequency.ALWAYS}) == len(scenario.uav):
+    found, filters = shortfalls(scenario), sum(map(scenario.filters, scenario.uav))
+    if len({one.uav for one in found if one.frequency is Frequency.ALWAYS}) == filters:
         return "never"
     broken = {one.frequency for one in found}
     if broken & {Frequency.ALWAYS, Frequency.THROUGHOUT}:
@@ -138,12 +138,10 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
         links: Links as an operator has changed them; None: the scenario's.
 
     Returns:
-        Empty for laws without a safety filter. Shortfalls expected less than once in a million runs are left out.
+        Empty for UAVs without a safety filter. Shortfalls expected less than once in a million runs are left out.
     """
-    if not scenario.filtered:
-        return ()
     table, found = links or scenario.links, list[Shortfall]()
-    for uav in scenario.uav:
+    for uav in filter(scenario.filters, scenario.uav):
         brief = uav_briefing(scenario, uav.name, scenario.seed)
         bounds, fault = bounds_of(brief), altitude_fault(scenario, uav, brief)
         if fault:

@@ -32,11 +32,12 @@ def check_own_functions(scenario: Scenario) -> tuple[str, ...]:
             briefing = uav_briefing(scenario, uav.name, 0)
             warnings += check_fit(briefing, own, scenario.custom.uav_policy)
         r_v, v_g = scenario.visibility.radius, ugvs[uav.escorts].max_speed
-        if weighting is not None and LAWS[scenario.law.name].own == "weighting":
+        own_field = LAWS[scenario.law_of(uav).name].own
+        if weighting is not None and own_field == "weighting":
             check_weighting(
                 weighting, switching_radius(r_v, uav.max_speed, v_g, uav.max_acceleration)
             )
-        if path is not None and LAWS[scenario.law.name].own == "path":
+        if path is not None and own_field == "path":
             warnings += check_path(
                 path, scenario.duration, r_v, uav.max_speed, v_g, uav.max_acceleration
             )

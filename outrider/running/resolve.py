@@ -27,7 +27,7 @@ def resolve(
         source: Name of a shipped scenario, or a TOML file.
         seed: Replaces the file's seed. All options up to `join_timeout` replace the file's field if given.
         duration: Simulated time [s].
-        law: Law of all UAVs.
+        law: Law of all UAVs; also replaces the law of a UAV of its own.
         driver: Driver of all UGVs.
         uav_policy: Policy of all UAVs, inside the safety filter unless the law is `policy`.
         network: Network profile of every link.
@@ -41,7 +41,6 @@ def resolve(
     options: dict[str, object] = {
         "seed": seed,
         "duration": duration,
-        "law.name": law,
         "ugv.*.driver": driver,
         "custom.uav_policy": uav_policy or None,
         "links.profile": network or None,
@@ -49,7 +48,7 @@ def resolve(
         "run.join_timeout": join_timeout,
     }
     given = [(field, value) for field, value in options.items() if value is not None]
-    scenario = load_scenario(source, overrides=[*(changes or ()), *given])
+    scenario = load_scenario(source, overrides=[*(changes or ()), *given], law=law)
     if law and not scenario.uav:
         raise ScenarioError(f"--law {law}: {scenario.name} has no UAV; allowed: no --law")
     named = [f"{field}={value}" for field, value in given if field in _CODE]
@@ -59,8 +58,7 @@ def resolve(
             raise ScenarioError(
                 f"--uav-policy {uav_policy}: not used by {where}; allowed: with {' or '.join(_LAWS)}"
             )
-        given += [("law.name", _LAWS[0])]
-        scenario = load_scenario(source, overrides=[*(changes or ()), *given])
+        scenario = load_scenario(source, overrides=[*(changes or ()), *given], law=_LAWS[0])
     return scenario, [*(changes or ()), *named]
 
 
@@ -71,4 +69,4 @@ _LAWS = tuple(name for name, row in LAWS.items() if "uav_policy" in (row.inner, 
 
 
 def _flies_policy(scenario: Scenario) -> bool:
-    return bool(scenario.uav) and scenario.law.name in _LAWS
+    return any(scenario.law_of(uav).name in _LAWS for uav in scenario.uav)

@@ -38,7 +38,7 @@ from sim.scene.colors import (
 from sim.scene.frames import Frames
 from sim.scene.known import scene_of
 from sim.scene.model import observed_scene
-from sim.server.flight import law_title
+from sim.server.flight import control_title
 
 WIDTH = 800
 """Width of a film [px]."""
@@ -220,7 +220,7 @@ class Film:
         if head.scenario is not None:
             scenario = recording.scenario
             scene = scene_of(scenario, recording.buildings)
-            law = law_title(scenario, external_uavs(recording))
+            law = control_title(scenario, external_uavs(recording))
             facts = f"law {law}   ·   {facts}" if scenario.uav else f"{NO_UAV}   ·   {facts}"
             self._r_v = scenario.visibility.radius
         else:

@@ -138,7 +138,7 @@ def uav_briefing(
         sensor=scenario.sensor,
         desired_coverage=scenario.coverage.desired,
         covered=scenario.coverage.covered,
-        law=scenario.law,
+        law=scenario.law_of(uav),
         detector=Detector(
             noise=detector_noise(scenario, uav),
             truncation=or_none(scenario.detections.truncation),

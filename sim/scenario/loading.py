@@ -167,13 +167,28 @@ def _with_saved_drivers(raw: dict[str, object], *, file: str) -> None:
         ugv["driver"], raw["custom"] = own.name, custom
 
 
-def load_scenario(source: str | Path = DEFAULT_SCENARIO, *, overrides: Overrides = ()) -> Scenario:
+def _with_one_law(raw: dict[str, object], law: str, *, file: str) -> None:
+    """Name one law for all UAVs; their parameters stay."""
+    apply_override(raw, "law.name", law, file=file)
+    given = raw.get("uav")
+    for uav in given if isinstance(given, list) else ():
+        own = uav.get("law") if isinstance(uav, dict) else None
+        if isinstance(own, dict):
+            own.pop("name", None)
+            if not own:
+                del uav["law"]
+
+
+def load_scenario(
+    source: str | Path = DEFAULT_SCENARIO, *, overrides: Overrides = (), law: str | None = None
+) -> Scenario:
     """Read and validate a scenario.
 
     Args:
         source: Shipped name, or TOML file.
         overrides: Changes applied in order before validation: fields with values, or texts such as
             `uav.0.max_speed=0.5`. The value is written as in TOML, or is plain text. `uav.*` means every UAV.
+        law: Name of one law for all UAVs, whatever file and overrides name; None: theirs.
 
     Returns:
         The scenario; without a name, it gets the file's name without suffix.
@@ -191,6 +206,8 @@ def load_scenario(source: str | Path = DEFAULT_SCENARIO, *, overrides: Overrides
     named = traces_in(raw)
     for key, value in _changes(overrides, file):
         apply_override(raw, key, value, file=file)
+    if law is not None:
+        _with_one_law(raw, law, file=file)
     if isinstance(raw.get("area"), dict):
         raw["area"] = {**msgspec.to_builtins(DEFAULT_AREA), **raw["area"]}
     _with_names(raw)

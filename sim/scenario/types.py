@@ -14,7 +14,16 @@ from bus.messages.base import Line, Name, NonNegative, Positive, Seed, Share, Te
 from bus.messages.buildings import MOST_BUILDINGS, Altitude, AltitudeLimits, Building, Camera
 from bus.messages.ground import DEFAULT_SHARE, Hazard
 from bus.messages.links import LinkKind, LinkSettings
-from bus.messages.scenario import Area, Estimator, Law, Origin, Region, ScriptStep, Sensor
+from bus.messages.scenario import (
+    Area,
+    Estimator,
+    Law,
+    LawNumber,
+    Origin,
+    Region,
+    ScriptStep,
+    Sensor,
+)
 from bus.messages.team import Team
 from bus.registry import CAUTIONS, DEFAULT_DRIVER, HAZARDS, LAWS
 from sim.channel.recorded import RecordedLink
@@ -84,6 +93,20 @@ class Wind(Table, frozen=True, kw_only=True):
         return most if self.limit is None or most == 0.0 else self.limit
 
 
+class OwnLaw(Table, frozen=True, kw_only=True):
+    """Control law of one UAV, where it differs from the scenario's."""
+
+    name: Name | None = None
+    """Name, a row of `bus.registry.LAWS`; default: the scenario's."""
+    parameters: Annotated[dict[Text, LawNumber], Meta(max_length=64)] = msgspec.field(
+        default_factory=dict
+    )
+    """Parameters that differ from `law.parameters`."""
+
+    def __hash__(self) -> int:
+        return hash((self.name, tuple(sorted(self.parameters.items()))))
+
+
 class Uav(Table, frozen=True, kw_only=True):
     """UAV and its initial state."""
 
@@ -105,6 +128,8 @@ class Uav(Table, frozen=True, kw_only=True):
     """Time constant of this error [s]."""
     tracking: InnerLoop = InnerLoop()
     """Inner loop, which tracks the reference state against wind and position errors."""
+    law: OwnLaw | None = None
+    """Control law of this UAV; default: the scenario's."""
     endurance: Positive | None = None
     """Flight time with a full charge [s], at the start and after charging; default: unlimited. Only in a team."""
     charge_time: Positive = 300.0
@@ -310,7 +335,7 @@ class Scenario(Table, frozen=True, kw_only=True):
     certificate: Certificate = Certificate()
     """Declared bounds of the visibility certificate."""
     law: Law = Law()
-    """Control law of the UAVs."""
+    """Control law of the UAVs without a law of their own."""
     custom: Custom = Custom()
     """Functions of the user."""
     run: Run = Run()
@@ -348,10 +373,21 @@ class Scenario(Table, frozen=True, kw_only=True):
         """Return all vehicles in name order, the order of every array."""
         return tuple(sorted((*self.uav, *self.ugv), key=lambda vehicle: vehicle.name))
 
+    def law_of(self, uav: Uav) -> Law:
+        """Return the control law of a UAV: its own, with the scenario's for all that it leaves out."""
+        own, common = uav.law, self.law
+        if own is None:
+            return common
+        return Law(name=own.name or common.name, parameters=common.parameters | own.parameters)
+
+    def filters(self, uav: Uav) -> bool:
+        """Return whether a UAV has a safety filter: its law has one, or it forms a team, whose guards have one."""
+        return self.team is not None or LAWS[self.law_of(uav).name].watched
+
     @property
     def filtered(self) -> bool:
-        """True if a safety filter acts: the law has one, or the UAVs form teams, whose guards have one."""
-        return self.team is not None or LAWS[self.law.name].watched
+        """True if a safety filter acts; without a UAV, if the law has one."""
+        return any(map(self.filters, self.uav)) if self.uav else LAWS[self.law.name].watched
 
     @property
     def disturbed(self) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 
 from bus.messages.decision import NotCertified
+from bus.messages.scenario import Law
 from bus.messages.team import Role
 from bus.messages.telemetry import VehicleStatus
 from bus.messages.vehicle import BackupTrajectory, Command, UavCommand, UavReport
@@ -40,8 +41,8 @@ def _is_certified(command: Command) -> bool | None:
 
 _Since = tuple[int | None, ...]
 """Tick from which on each UAV's UGV has kept its distance from buildings; None: it does not keep it."""
-_Tick = tuple[int, Mapping[str, Command], str, _Since]
-"""Commands of one tick: the tick, the new commands, and the UAVs' control law."""
+_Tick = tuple[int, Mapping[str, Command], Mapping[str, Law], _Since]
+"""Commands of one tick: the tick, the new commands, and the UAVs' control laws."""
 
 
 class Answers:
@@ -152,17 +153,21 @@ class Answers:
         )
 
     def record(
-        self, tick: int, commands: Mapping[str, Command], law: str, clear_since: _Since
+        self,
+        tick: int,
+        commands: Mapping[str, Command],
+        laws: Mapping[str, Law],
+        clear_since: _Since,
     ) -> None:
         """Record the commands of the tick just simulated; `evaluate` counts them.
 
         Args:
             tick: The tick.
             commands: New command of each vehicle that sent one.
-            law: Control law of the UAVs.
+            laws: Control law of each UAV.
             clear_since: Tick from which on each UAV's UGV has kept its distance from buildings; None: it does not.
         """
-        self._recorded = tick, commands, law, clear_since
+        self._recorded = tick, commands, laws, clear_since
 
     def evaluate(self) -> None:
         """Count the recorded commands, and compare the UAVs' reports with the true state."""
@@ -170,12 +175,12 @@ class Answers:
         if last is None:
             return
         self._recorded = None
-        tick, commands, law, clear_since = last
+        tick, commands, laws, clear_since = last
         self._count(tick, commands)
         for uav, name in enumerate(self._uavs):
             command = commands.get(name)
             answer = command if isinstance(command, UavCommand) else None
-            self._check_report(uav, answer, tick, law, clear_since[uav])
+            self._check_report(uav, answer, tick, laws[name].name, clear_since[uav])
         if self._teamed:
             answers = map(commands.get, self._uavs)
             current = [answer is not None and answer.tick == tick for answer in answers]

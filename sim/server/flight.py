@@ -7,7 +7,6 @@ import logging
 from collections.abc import Callable, Collection, Mapping
 from typing import Protocol
 
-import msgspec
 import numpy as np
 
 from bus.messages.base import Vector
@@ -28,6 +27,7 @@ from bus.messages.vehicle import (
 from bus.registry import EXTERNAL
 from sim.compiling.compile import FloatArray
 from sim.engine.run_keys import check_seed
+from sim.scenario.laws import law_title, with_law
 from sim.scenario.types import NO_UAV, Scenario, Uav
 from sim.server.answers import Answers
 from sim.server.clearance_watch import ClearanceWatch
@@ -55,8 +55,8 @@ class Exchange(Protocol):
 _LOG = logging.getLogger("outrider.sim")
 
 
-def law_title(scenario: Scenario, external: Collection[str]) -> str:
-    """Return the title of the scenario's law: `external` if the user's programs fly, `no UAV` if there are none.
+def control_title(scenario: Scenario, external: Collection[str]) -> str:
+    """Return the title of the UAVs' laws: `external` if the user's programs fly, `no UAV` if there are none.
 
     Args:
         scenario: Scenario of the run.
@@ -67,7 +67,8 @@ def law_title(scenario: Scenario, external: Collection[str]) -> str:
     if len(external) == len(scenario.uav):
         return EXTERNAL
     own = " and ".join(sorted(external))
-    return f"{scenario.law.name}, {own} {EXTERNAL}" if own else scenario.law.name
+    title = law_title(scenario)
+    return f"{title}, {own} {EXTERNAL}" if own else title
 
 
 class Flight:
@@ -95,7 +96,9 @@ class Flight:
         self.secret = secret
         self.episode = episode
         self.law = scenario.law
-        """Current control law of the UAVs."""
+        """Control law that an operator has selected last; at first the scenario's."""
+        self.laws = {uav.name: scenario.law_of(uav) for uav in scenario.uav}
+        """Current control law of each UAV."""
         self.drivers = {ugv.name: ugv.driver for ugv in scenario.ugv}
         """Current driver of each UGV."""
         self.world = World(scenario, seed, secret=secret)
@@ -136,13 +139,14 @@ class Flight:
 
     @property
     def flown(self) -> Scenario:
-        """Return the scenario with the current control law."""
-        return msgspec.structs.replace(self.scenario, law=self.law)
+        """Return the scenario with the current control laws."""
+        current = {uav.name: self.scenario.law_of(uav) for uav in self.scenario.uav}
+        return self.scenario if self.laws == current else with_law(self.scenario, self.law)
 
     @property
     def law_name(self) -> str:
-        """Return the title of the control law; see `law_title`."""
-        return law_title(self.scenario, self.answers.external)
+        """Return the title of the control laws; see `control_title`."""
+        return control_title(self.scenario, self.answers.external)
 
     @property
     def complete(self) -> bool:
@@ -173,9 +177,13 @@ class Flight:
         if notice := self._clearance.assign(ugv, driver):
             self.on_notice(notice)
 
+    def assign_law(self, law: Law) -> None:
+        """Record that all UAVs fly this law."""
+        self.law, self.laws = law, dict.fromkeys(self.laws, law)
+
     def order(self, law: Law) -> None:
-        """Change the control law of the UAVs from the next observation on."""
-        self.law = law
+        """Change the control law of all UAVs from the next observation on."""
+        self.assign_law(law)
         for uav in self.world.uavs:
             self.perceptions[uav.name].news_now().law = law
             self.answers.assurance.excuse(self._uav_row[uav.name])
@@ -204,6 +212,7 @@ class Flight:
             time=self.world.time,
             realtime_factor=0.0,
             law=self.law.name,
+            laws={name: law.name for name, law in self.laws.items() if law.name != self.law.name},
             drivers=dict(self.drivers),
             certified={name: reason is None for name, reason in reasons.items()},
             uncertified={name: reason for name, reason in reasons.items() if reason is not None},
@@ -293,7 +302,7 @@ class Flight:
         self._clearance.update(commands)
         world.advance()
         self.team.use_charge()
-        self._answers.record(world.tick - 1, commands, self.law.name, self._clearance.since())
+        self._answers.record(world.tick - 1, commands, self.laws, self._clearance.since())
 
     def take_down(self) -> None:
         """Evaluate the commands of the previous tick and record this one; repeated calls at a tick have no effect.

@@ -13,6 +13,7 @@ from bus.messages.vehicle import Teleoperation
 from bus.registry import DRIVERS
 from bus.session import Session
 from sim.scenario.checks import check_scenario
+from sim.scenario.laws import with_law
 from sim.server.flight import Flight
 from sim.server.pace import Pace
 
@@ -149,9 +150,7 @@ class OperatorControls:
             raise ScenarioError(
                 f"law = {control.law.name!r}: the scenario has no UAV; allowed: scenarios with a UAV"
             )
-        check_scenario(
-            msgspec.structs.replace(self._flight.scenario, law=control.law), source="law"
-        )
+        check_scenario(with_law(self._flight.scenario, control.law), source="law")
         self._flight.order(control.law)
 
     def _driver(self, control: Control) -> None:

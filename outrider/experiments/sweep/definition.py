@@ -1,5 +1,6 @@
 """Definition of a sweep, read from TOML and the command line and checked."""
 
+import re
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -17,6 +18,8 @@ from sim.input.reading import parse_toml, typed
 from sim.scenario.loading import read_toml, scenario_names
 
 _VARY_EXAMPLE = "field=value,value, such as links.detections.delay=0,0.5,1"
+_OWN_LAW = re.compile(r"uav\.(\d+|\*)\.law(\.name)?")
+"""Fields of a UAV's own law."""
 _OWN = {"seed": "--seeds, in a file seeds", "law.name": "--law, in a file laws"}
 """Fields that a sweep varies by other options."""
 
@@ -119,6 +122,10 @@ def checked(sweep: Sweep, *, file: str) -> Sweep:
             raise Fault(f"block.{k}.name", name, "name of another block", "a unique name").error(
                 file
             )
+        twice = next((field for field in varied if laws and _OWN_LAW.fullmatch(field)), None)
+        if twice is not None:
+            wrong = f"used together with laws, which would replace {twice}"
+            raise Fault("laws", list(laws), wrong, f"either laws or {twice}").error(file)
         blocks.append(Block(name=name, vary=varied, set=_flat(block.set)))
     return msgspec.structs.replace(sweep, set=_flat(sweep.set), vary={}, block=tuple(blocks))
 

@@ -18,6 +18,7 @@ from outrider.running.own_functions import check_own_functions
 from outrider.running.user_code import check_code
 from sim.input.faults import one_line
 from sim.scenario.checks import scenario_warnings
+from sim.scenario.laws import law_title
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 
@@ -110,10 +111,8 @@ def _loaded(
     ]
     for number, (block, law, values) in enumerate(wanted):
         on_progress(number, len(wanted))
-        named = {} if law is None else {"law.name": law}
-        scenario = load_scenario(
-            sweep.scenario, overrides={**sweep.set, **block.set, **named, **values}
-        )
+        changes = {**sweep.set, **block.set, **values}
+        scenario = load_scenario(sweep.scenario, overrides=changes, law=law)
         outside = next((ugv.driver for ugv in scenario.ugv if DRIVERS[ugv.driver].outside), None)
         if outside is not None:
             wrong = f"the driver {outside!r} is another process; allowed: drivers of Outrider"
@@ -167,7 +166,7 @@ def lay_out(
             for field, kind in kinds.items()
         }
         points.append(
-            SweepPoint(block=block.name, law=scenario.law.name, fields=fields, scenario=scenario)
+            SweepPoint(block=block.name, law=law_title(scenario), fields=fields, scenario=scenario)
         )
         warnings |= dict.fromkeys(scenario_warnings(scenario))
         check_code(scenario, named, source=sweep.scenario, allowed=allow_code)
