@@ -179,6 +179,11 @@ class UavPilot:
             decision = self.filter.decide(inputs, Acceleration(*acceleration, vertical))
             acceleration, vertical = decision.acceleration, decision.vertical_acceleration
             backups = self.filter.backup_trajectories(tick)
+        elif self.filter is not None and self._vertical is not None:
+            u_x, u_y, vertical = self.filter.pass_bare(
+                inputs, Acceleration(*acceleration, vertical)
+            )
+            acceleration, backups = (u_x, u_y), self.filter.backup_trajectories(tick)
         number, message = 0, None
         if team is not None:
             team.accept(decision)

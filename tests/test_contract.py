@@ -52,7 +52,7 @@ def test_uav_receives_exactly_these_fields() -> None:
         vertical_clearance climb_rate camera half_angle reference_altitude
         buildings polygon marker_height guaranteed_clearance max_building_height
         vehicle dt visibility_radius law name parameters key past more
-        team mates guards silence scout_range
+        team mates guards silence scout_range separation
         sender number role certified measured measurement blocks cells
         endurance charge_time base charge asks request"""
     assert fields_of(TO_UAV) == {*words(known)}

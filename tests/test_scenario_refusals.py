@@ -87,6 +87,15 @@ switching_radius_is_positive | visibility.radius=1.05 | uav.0.max_acceleration =
 switching_radius_is_positive | uav.0.max_speed=inf | uav.0.max_speed = inf | finite speeds
 law_parameters_are_possible | law.parameters.speed_gan=2
 | law.parameters.speed_gan = 2 | a_c, b_c, c_c, d_c, speed_gain
+names_are_known | uav.0.law.name=circel | uav.0.law.name = "circel" | {LAWS}
+own_functions_are_named | uav.0.law.name=path | custom.path = "" | module:function
+law_parameters_are_possible | uav.0.law.name=lookahead & uav.0.law.parameters.candidates=0
+| uav.0.law.parameters.candidates = 0 | 1
+reference_speed_is_possible | uav.0.law.name=coverage & law.parameters.reference_speed=0.7
+| uav.0.law.parameters.reference_speed = 0.7 | up to uav.0.max_speed = 0.6 m/s
+controller_is_stable | uav.0.law.parameters.b_c=-4.0 | uav.0.law.parameters = {a_c = -3.0, b_c = -4.0 | 0 < D A
+circle_is_within_sight | uav.0.law.name=circle & law.parameters.circle_radius=5
+| uav.0.law.parameters.circle_radius = 5.0 | 4.75 m
 law_parameters_are_possible | law.parameters.speed_gain=-2 | law.parameters.speed_gain = -2 | a number > 0.0
 reference_speed_is_possible | law.parameters.reference_speed=0.7
 | law.parameters.reference_speed = 0.7 | up to uav.0.max_speed = 0.6 m/s
@@ -202,6 +211,12 @@ circle_is_within_sight | law.name=circle & uav.0.max_acceleration=inf
 teams_are_possible | team.guards=2 | team.guards = 2 | up to 1
 teams_are_possible | team.scout_range=4 | team.scout_range = 4.0 | from 4.75 m
 teams_are_possible | team.scout_range=9.2 | team.scout_range = 9.2 | up to 9.09 m
+teams_are_possible | team.guards=1 & uav.0.initial_altitude=14 | uav.0.max_altitude = 120.0 | up to 58 m
+teams_are_possible | team.guards=1 & uav.0.initial_altitude=14 & uav.0.max_altitude=16 | uav.0.min_altitude = 1.0
+| from 3.80902 m
+bands_are_apart | team.guards=1 & uav=[{position=[7,9]},{position=[8,9]}] & uav.*.initial_altitude=14
+& uav.1.initial_altitude=15 & uav.*.min_altitude=9 & uav.*.max_altitude=17
+| uav.1.initial_altitude = 15.0 | 16 m, with uav.0.max_altitude = 14 and uav.1.min_altitude = 16
 endurances_suffice | uav.0.endurance=300 | uav.0.endurance = 300.0 | with [team]
 endurances_suffice | team.guards=1 & uav.0.endurance=300 | uav.0.base | [x, y] in m
 endurances_suffice | team.guards=1 & uav.0.endurance=300 & uav.0.base=[50,3]

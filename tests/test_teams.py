@@ -408,10 +408,9 @@ def test_monitor_counts_what_contradicts_the_guarantee() -> None:
             "uav_0 might return too late from r_v to find the UGV; allowed: up to 9.233 s",
         ),
         ({"detections.truncation": float("inf")}, "whatever `silence` is"),
-        ({"uav.1.initial_altitude": 12.0}, "a team flies in the plane"),
         (
             {"team.scout_rnge": 9.0},
-            "did you mean 'scout_range'?; allowed: guards, silence, scout_range",
+            "did you mean 'scout_range'?; allowed: guards, silence, scout_range, separation",
         ),
     ],
 )

@@ -44,7 +44,7 @@ from sim.models.altitude import (
     step_altitude,
 )
 from sim.models.trajectories import NO_TRAJECTORY, follow_on
-from sim.models.vehicles import State, brake
+from sim.models.vehicles import State, brake, clip_norm
 
 _TOO_LOW = code(NotCertified.TOO_LOW)
 _OFF_TRAJECTORY = code(NotCertified.OFF_TRAJECTORY)
@@ -138,6 +138,73 @@ def _lowest_after(vertical: VerticalState, start: Height, command: float, dt: fl
 
 
 @compiled
+def _climb(
+    levels: RecordArray, vertical: VerticalState, ahead: Height, own: State, u_x: float, u_y: float
+) -> Acceleration:
+    """Return the acceleration of a UAV below every floor: it climbs, and brakes below the roofs.
+
+    Args:
+        levels, vertical: As in `decide_in_space`.
+        ahead, own: Height and horizontal state when the command takes effect.
+        u_x, u_y: Horizontal acceleration above the roofs [m/s²].
+    """
+    u_z, dt = vertical.max_acceleration, levels[0].dt
+    if _lowest_after(vertical, ahead, u_z, dt) < levels[0].roofs - 2.0 * _SLACK:
+        u_x, u_y = brake(own.v_x, own.v_y, levels[0].u_a, dt)
+    return Acceleration(u_x, u_y, u_z)
+
+
+@compiled
+def decide_height(
+    levels: RecordArray,
+    memory: FilterMemory,
+    tick: int,
+    own: State,
+    vertical: VerticalState,
+    nominal: Acceleration,
+    committed: int = NO_TRAJECTORY,
+) -> None:
+    """Apply the vertical rule alone, for a UAV that need not keep the UGV in sight; it certifies nothing.
+
+    The UAV stays above every roof (Lemma 10), and as high as the filter certifies. The horizontal acceleration changes
+    only below the roofs. Each command carries a plan as in `decide_in_space`: the UAV stops and levels off after it.
+    So its height is known when the next command takes effect, and when the filter begins to act.
+
+    Args:
+        levels, memory, tick, own, vertical, nominal, committed: As in `decide_in_space`.
+    """
+    dt = levels[0].dt
+    beginning = begin_decision(
+        levels[0], memory, tick, own, Height(vertical.altitude, vertical.rate), committed
+    )
+    ahead, _ = predict_height(memory.pending, vertical, tick, levels[0].delay_ticks, dt)
+    u_x, u_y = clip_norm(nominal.x, nominal.y, levels[0].u_a)
+    u_z = nominal.z
+    if level_of(levels, _lowest_after(vertical, ahead, u_z, dt)) < 0:
+        u_z = level_off(ahead.rate, vertical.max_acceleration, dt)
+        if level_of(levels, _lowest_after(vertical, ahead, u_z, dt), 2.0 * _SLACK) < 0:
+            u_x, u_y, u_z = _climb(levels, vertical, ahead, beginning.ahead, u_x, u_y)
+    end_decision(levels[0], memory, tick, own, beginning, (u_x, u_y), BEST_EFFORT)
+    _expect_plan(memory, vertical, tick, levels[0].delay_ticks, u_z, dt)
+
+
+@compiled
+def _expect_plan(
+    memory: FilterMemory,
+    vertical: VerticalState,
+    tick: int,
+    delay: int,
+    u_z: float,
+    dt: float,
+) -> None:
+    """Add the vertical acceleration [m/s²] to the plan of this tick, which begins `delay` ticks later."""
+    sent = memory.pending.sent
+    sent[(tick + delay) % sent.shape[0]].vertical_acceleration = u_z
+    _expect_height(memory.pending, vertical, tick, dt)
+    memory.decision[0].vertical_acceleration = u_z
+
+
+@compiled
 def decide_in_space(
     levels: RecordArray,
     memory: FilterMemory,
@@ -197,15 +264,10 @@ def decide_in_space(
             source = BACKUP if source == NOMINAL and u_z != nominal.z else source
         else:
             u_x, u_y = best_effort(levels[0], discs, plan, beginning.ahead)
-            u_z = vertical.max_acceleration
-            if _lowest_after(vertical, ahead, u_z, dt) < levels[0].roofs - 2.0 * _SLACK:
-                v = beginning.ahead
-                u_x, u_y = brake(v.v_x, v.v_y, levels[0].u_a, dt)
+            u_x, u_y, u_z = _climb(levels, vertical, ahead, beginning.ahead, u_x, u_y)
     end_decision(levels[max(level, 0)], memory, tick, own, beginning, (u_x, u_y), source)
-    memory.pending.sent[begins % memory.pending.sent.shape[0]].vertical_acceleration = u_z
-    _expect_height(memory.pending, vertical, tick, dt)
+    _expect_plan(memory, vertical, tick, delay, u_z, dt)
     decision = memory.decision[0]
-    decision.vertical_acceleration = u_z
     if decision.reason == CERTIFIED and not follows:
         decision.reason = _OFF_TRAJECTORY
     if level < 0 or level_of(levels, lowest, 2.0 * _SLACK) < 0:

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from agents.safety.altitude import Acceleration, decide_in_space
+from agents.safety.altitude import Acceleration, decide_height, decide_in_space
 from agents.safety.decision import decide
 from agents.safety.memory import FilterMemory, add_measurement, add_position
 from agents.uav_inputs import DETECTION, UavInputs
@@ -27,6 +27,27 @@ def record_measurements(safety: RecordArray, memory: FilterMemory, inputs: UavIn
             (rows[n, DETECTION.x], rows[n, DETECTION.y]),
         )
         add_measurement(safety[0], memory, taken, relative, tick, own)
+
+
+@compiled
+def bare_control(
+    levels: RecordArray | None, memory: FilterMemory, inputs: UavInputs, nominal: Acceleration
+) -> tuple[float, float, float]:
+    """Return the acceleration of a UAV that flies without its safety filter [m/s²]; see `decide_height`.
+
+    In the plane it is the nominal one. With an altitude, the filter's memory holds the plan of the command.
+
+    Args:
+        levels, memory, inputs, nominal: As in `filter_control`.
+    """
+    vertical: Any = inputs.vertical
+    if levels is None:
+        return nominal.x, nominal.y, nominal.z
+    if not vertical.flies:
+        return nominal.x, nominal.y, nominal.z
+    decide_height(levels, memory, inputs.tick, inputs.own, vertical, nominal, inputs.committed)
+    decision = memory.decision[0]
+    return decision.acceleration[0], decision.acceleration[1], decision.vertical_acceleration
 
 
 @compiled

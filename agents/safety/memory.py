@@ -14,6 +14,7 @@ import numpy as np
 from agents.safety.discs import MOST_KEPT, NEVER, Disc, add_disc, no_discs
 from agents.safety.pending import (
     PendingCommands,
+    forget_checks,
     mark_unchecked,
     pending_commands,
     reset_pending,
@@ -120,6 +121,18 @@ def reset_memory(memory: FilterMemory) -> None:
     decision.vertical_acceleration = 0.0
     decision.source, decision.reason = _NOMINAL, _NO_MEASUREMENT
     decision.certified_distance = math.inf
+
+
+@compiled
+def restart_memory(memory: FilterMemory) -> None:
+    """Start a new filter on a UAV whose plans so far are pending: forget all but these, which are unchecked."""
+    for k in range(memory.discs.shape[0]):
+        memory.discs[k].tick = NEVER
+    clear_trajectories(memory.plan)
+    for k in range(memory.track.shape[0]):
+        memory.track[k].tick = NEVER
+    memory.flags[0].contradicted, memory.flags[0].from_start = 0, 0
+    forget_checks(memory.pending)
 
 
 @compiled

@@ -111,6 +111,15 @@ def mark_unchecked(pending: PendingCommands) -> None:
 
 
 @compiled
+def forget_checks(pending: PendingCommands) -> None:
+    """Mark all plans unchecked, and forget the discs around their ends."""
+    mark_unchecked(pending)
+    for k in range(pending.sent.shape[0]):
+        pending.sent[k].end_radius = math.inf
+    pending.committed[COMMITTED].end_radius = math.inf
+
+
+@compiled
 def _receive_flown(pending: PendingCommands, tick: int, committed: int) -> None:
     """Record the trajectory executed in the previous tick; another pilot's trajectory counts as unchecked."""
     if pending.committed[COMMITTED].begins != committed:

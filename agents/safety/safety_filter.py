@@ -4,7 +4,7 @@ from collections import Counter
 from typing import Any
 
 from agents.safety.altitude import Acceleration
-from agents.safety.control import filter_control, record_measurements
+from agents.safety.control import bare_control, filter_control, record_measurements
 from agents.safety.handover import check_assumptions
 from agents.safety.levels import bounds_of, levels_of
 from agents.safety.memory import filter_memory, invalidate_plans, track_ticks
@@ -99,6 +99,14 @@ class SafetyFilter:
         if decision.reason is not None:
             self.not_certified[decision.reason] += 1
         return decision
+
+    def pass_bare(self, inputs: UavInputs, nominal: Acceleration) -> Acceleration:
+        """Return the acceleration of a UAV without the filter: at an altitude, its vertical rule still acts.
+
+        Then `backup_trajectories` are part of the command; in the plane they are not.
+        """
+        floats = Acceleration(*map(float, nominal))
+        return Acceleration(*bare_control(self._levels, self.memory, inputs, floats))
 
     def backup_trajectories(self, tick: int) -> tuple[BackupTrajectory, ...]:
         """Return the plans of this tick's command: earlier ones that may be missing, then its own."""

@@ -10,7 +10,7 @@ it has none.
 
 import math
 
-from agents.safety.memory import FilterMemory, reset_memory
+from agents.safety.memory import FilterMemory, reset_memory, restart_memory
 from agents.safety.trajectories import servo
 from agents.team.records import (
     AWAY,
@@ -27,6 +27,7 @@ from agents.team.records import (
 from agents.uav_inputs import DETECTION, TeamInputs, TeamPacket, UavInputs
 from bus.messages.team import MOST_UAVS
 from sim.compiling.compile import compiled
+from sim.models.altitude import VerticalState
 from sim.models.endurance import RESERVE, is_at_base, reach_time, return_time
 from sim.models.safety import SafetyBounds
 from sim.models.vehicles import State, norm
@@ -222,6 +223,17 @@ def accept(parameters: TeamParameters, memory: TeamMemory, certified: bool) -> N
 
 
 @compiled
+def _begin_filter(memory: FilterMemory, vertical: VerticalState | None) -> None:
+    """Start a new filter; with an altitude, the UAV's commands already carry plans, by `decide_height`."""
+    if vertical is None:
+        reset_memory(memory)
+    elif vertical.flies:
+        restart_memory(memory)
+    else:
+        reset_memory(memory)
+
+
+@compiled
 def begin_tick(
     parameters: TeamParameters,
     memory: TeamMemory,
@@ -254,7 +266,7 @@ def begin_tick(
     if own.role in (SCOUT, AWAY):
         own.filtered = own.certified = False
     elif not own.filtered and detected and inputs.tick - own.own_tick <= safety.max_age_ticks:
-        reset_memory(filter_memory)
+        _begin_filter(filter_memory, inputs.vertical)
         own.filtered = True
 
 

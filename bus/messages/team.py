@@ -55,6 +55,8 @@ class Team(Message, frozen=True, kw_only=True):
     """Largest distance of a scout from the newest known position of the UGV [m]; default: the largest from which it
     certainly returns in time.
     """
+    separation: NonNegative = 2.0
+    """Smallest distance between the altitude bands of any two UAVs [m]; without altitudes it has no effect."""
 
 
 class Endurance(Message, frozen=True, kw_only=True):

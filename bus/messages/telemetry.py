@@ -252,6 +252,10 @@ class TeamStatus(Message, frozen=True, kw_only=True):
     """Share of the ticks with more guards than wanted."""
     left_without_relief: Tick = 0
     """Times that a guard with one of the largest numbers left for its base, as its charge was exhausted."""
+    separation_violations: Tick = 0
+    """Ticks in which two UAVs with an altitude were nearer than `team.separation`. Any but 0 disproves that their
+    altitude bands keep them apart.
+    """
     team_traffic: NonNegative = 0.0
     """Mean size of the messages that each UAV sends to its team, as JSON [B/s]."""
     charges: dict[Name, NonNegative] = {}

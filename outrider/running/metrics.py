@@ -169,6 +169,9 @@ TEAM = _table(
     Metric("left_without_relief", "left without relief", "", 0,
            "Times that a guard left for its base before another UAV had taken over.",
            goal=0.0, column="int64"),
+    Metric("separation_violations", "UAVs too near", "ticks", 0,
+           "Ticks in which two UAVs with an altitude, of any team, were nearer than `team.separation`.",
+           goal=0.0, guaranteed=True, column="int64"),
     Metric("team_traffic", "messages to the team", "B/s", 0,
            "Mean size of the messages that each UAV sends to its team.", column="double"),
 )

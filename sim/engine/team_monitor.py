@@ -7,10 +7,12 @@ left exhausted.
 
 import numpy as np
 
-from sim.compiling.compile import compiled
+from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray, record_type
 
 _NONE = -1
+_ROUNDING = 1e-6
+"""Tolerance of a distance between UAVs [m]."""
 
 
 class TeamCounters:
@@ -65,6 +67,19 @@ def team_counters(teams: int) -> RecordArray:
 def team_reports(uavs: int) -> RecordArray:
     """Return empty reports of a team. Shape (uavs,)."""
     return np.zeros(uavs, record_type(TeamReport))
+
+
+@compiled
+def are_too_near(points: FloatArray, separation: float) -> bool:
+    """Return whether two points are nearer to each other than the separation [m]; points [m]: shape (UAVs, 3)."""
+    least = separation - _ROUNDING
+    for i in range(points.shape[0]):
+        for k in range(i):
+            x, y = points[i, 0] - points[k, 0], points[i, 1] - points[k, 1]
+            z = points[i, 2] - points[k, 2]
+            if least > 0.0 and x * x + y * y + z * z < least * least:
+                return True
+    return False
 
 
 @compiled

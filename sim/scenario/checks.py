@@ -22,6 +22,7 @@ from sim.scenario.laws import (
     laws_are_known,
 )
 from sim.scenario.team import endurances_suffice, teams_are_possible, watch_warnings
+from sim.scenario.team_bands import bands_are_apart
 from sim.scenario.types import Scenario
 from sim.scenario.world_checks import WORLD_CHECKS, Check
 
@@ -109,6 +110,7 @@ CHECKS: tuple[Check, ...] = (
     *BUILDING_CHECKS,
     *GROUND_CHECKS,
     teams_are_possible,
+    bands_are_apart,
     endurances_suffice,
 )
 """Checks in order: later ones may rely on earlier ones."""

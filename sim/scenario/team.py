@@ -11,10 +11,14 @@ from bus.messages.team import MOST_UAVS, Endurance, Team
 from bus.numbers import at_least, at_most, exact
 from sim.input.faults import Fault
 from sim.models.endurance import CERTIFYING, RESERVE, farthest_in_area, reach_time, return_time
+from sim.models.safety import visible_radius
+from sim.scenario.building_tables import max_building_height
 from sim.scenario.safety import safety_parameters
-from sim.scenario.types import Scenario, Uav
+from sim.scenario.types import Scenario, Uav, Ugv, altitude_limits
 
 _ROUNDING = 1e-9
+_PRECISION = 0.01
+"""Precision of the largest altitude of a scout [m]."""
 
 
 def mates_of(scenario: Scenario, uav: str) -> tuple[str, ...]:
@@ -48,7 +52,7 @@ def leash(
     $$ L = v_a \left[ (r_v - \varepsilon - 2w)/v_g - S - 5 v_a/(2 u_a) - 2\,dt \right] $$
 
     The UGV was measured at most S before the scout turns back; turn, flight and stop take $L/v_a + 5 v_a/(2 u_a) +
-    2\,dt$.
+    2\,dt$. With an altitude, R(z) at the lowest one replaces r_v, see `lowest_sight`.
 
     Args:
         team: Settings with S.
@@ -64,12 +68,39 @@ def leash(
     return v_a * time if math.isfinite(v_a) else -math.inf
 
 
-def _leash_of(scenario: Scenario, team: Team, uav: Uav) -> float:
-    ugv = next(one for one in scenario.ugv if one.name == uav.escorts)
+def _escorted(scenario: Scenario, uav: Uav) -> Ugv:
+    return next(one for one in scenario.ugv if one.name == uav.escorts)
+
+
+def lowest_sight(scenario: Scenario, uav: Uav) -> float:
+    """Return R(z), the distance within which a UAV sees its UGV at the lowest altitude above all roofs [m].
+
+    In the plane it is r_v. The UGV is taken to keep the distance from buildings that it declares (A9).
+    """
+    limits, ugv = altitude_limits(scenario, uav), _escorted(scenario, uav)
+    if limits is None:
+        return scenario.visibility.radius
+    roofs, lowest = max_building_height(scenario), limits.min_altitude
+    if roofs is not None:
+        lowest = max(lowest, roofs + limits.vertical_clearance, math.nextafter(roofs, math.inf))
+    return float(
+        visible_radius(
+            lowest,
+            scenario.visibility.radius,
+            math.tan(scenario.camera.half_angle),
+            ugv.marker_height,
+            roofs or 0.0,
+            ugv.building_clearance,
+        )
+    )
+
+
+def _leash_of(scenario: Scenario, team: Team, uav: Uav, radius: float | None = None) -> float:
+    """Return the leash of a scout [m]; `radius`: distance within which it sees the UGV, None: `lowest_sight` [m]."""
     safety = safety_parameters(scenario, uav.name)
     error, tracking = map(or_infinite, (safety.max_measurement_error, safety.max_tracking_error))
-    r_v = scenario.visibility.radius
-    return leash(team, uav, ugv.max_speed, r_v, error, tracking, scenario.dt)
+    r_v, v_g = radius or lowest_sight(scenario, uav), _escorted(scenario, uav).max_speed
+    return leash(team, uav, v_g, r_v, error, tracking, scenario.dt)
 
 
 def briefed_team(scenario: Scenario, uav: Uav) -> Team | None:
@@ -101,7 +132,7 @@ class Watch(NamedTuple):
 def watch_of(scenario: Scenario, uav: Uav) -> Watch:
     """Return the times of a UAV with an endurance, for the point of the area that is farthest from its base."""
     distance = farthest_in_area(uav.base or uav.position, scenario.area)
-    ugv = next(one for one in scenario.ugv if one.name == uav.escorts)
+    ugv = _escorted(scenario, uav)
     v_a, u_a, silence = (
         uav.max_speed,
         uav.max_acceleration,
@@ -179,12 +210,10 @@ def teams_are_possible(scenario: Scenario) -> Iterator[Fault]:
             yield Fault("team.guards", team.guards, wrong, f"up to {count}")
     r_v = scenario.visibility.radius
     for k, uav in enumerate(scenario.uav):
-        if uav.initial_altitude is not None:
-            wrong = "a team flies in the plane, at separate altitudes that are not simulated"
-            yield Fault(f"uav.{k}.initial_altitude", uav.initial_altitude, wrong, "none")
         longest = _leash_of(scenario, team, uav)
         if not longest >= r_v:
-            yield _no_leash(scenario, team, f"uav.{k}", uav)
+            fault = _too_high(scenario, team, k) or _too_low(scenario, team, k)
+            yield fault or _no_leash(scenario, team, f"uav.{k}", uav)
         if team.scout_range is None:
             continue
         if team.scout_range < r_v:
@@ -197,10 +226,61 @@ def teams_are_possible(scenario: Scenario) -> Iterator[Fault]:
             )
 
 
+def _too_high(scenario: Scenario, team: Team, k: int) -> Fault | None:
+    """Return the fault of a UAV that could be a scout at r_v if it flew lower, where its detections have less noise."""
+    uav, r_v = scenario.uav[k], scenario.visibility.radius
+    limits = altitude_limits(scenario, uav)
+    if limits is None:
+        return None
+
+    def fits(highest: float) -> bool:
+        lower = msgspec.structs.replace(uav, max_altitude=highest)
+        uavs = (*scenario.uav[:k], lower, *scenario.uav[k + 1 :])
+        return _leash_of(msgspec.structs.replace(scenario, uav=uavs), team, lower, r_v) >= r_v
+
+    low, high = limits.initial_altitude, limits.max_altitude
+    if fits(high) or not fits(low):
+        return None
+    while high - low > _PRECISION:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    wrong = f"the noise of {uav.name}'s detections grows with altitude, so a scout may return too late from r_v"
+    allowed = f"up to {at_most(math.floor(low / _PRECISION) * _PRECISION, 4)} m"
+    return Fault(f"uav.{k}.max_altitude", limits.max_altitude, wrong, allowed)
+
+
+def _too_low(scenario: Scenario, team: Team, k: int) -> Fault | None:
+    """Return the fault of a UAV that could be a scout if it saw the UGV within r_v at every altitude; None: it cannot.
+
+    R(z) is proportional to z - h_m, the height above the marker, up to r_v.
+    """
+    uav, r_v = scenario.uav[k], scenario.visibility.radius
+    limits, seen = altitude_limits(scenario, uav), lowest_sight(scenario, uav)
+    spare = _leash_of(scenario, team, uav, r_v) - r_v
+    if limits is None or not spare >= 0.0:
+        return None
+    ugv, roofs = _escorted(scenario, uav), max_building_height(scenario) or 0.0
+    hidden = roofs > ugv.marker_height
+    if hidden and ugv.building_clearance == 0.0:
+        wrong = f"buildings may hide it from {uav.name}, so no scout finds it for certain"
+        field = f"ugv.{scenario.ugv.index(ugv)}.building_clearance"
+        return Fault(field, ugv.building_clearance, wrong, "more than 0 m")
+    # v_g times the time that the leash spares at r_v
+    needed = r_v - spare * ugv.max_speed / uav.max_speed
+    slope = math.tan(scenario.camera.half_angle)
+    if hidden:
+        slope = min(slope, ugv.building_clearance / (roofs - ugv.marker_height))
+    least = ugv.marker_height + needed / slope
+    wrong = f"from the lowest altitude {uav.name} sees the UGV within {seen:.3g} m only, so a scout may return too late"
+    return Fault(
+        f"uav.{k}.min_altitude", limits.min_altitude, wrong, f"from {at_least(least, 4)} m"
+    )
+
+
 def _no_leash(scenario: Scenario, team: Team, path: str, uav: Uav) -> Fault:
     """Return the fault of a UAV that cannot even be a scout at r_v."""
-    instant = msgspec.structs.replace(team, silence=0.0)
-    spare = _leash_of(scenario, instant, uav) - scenario.visibility.radius
+    instant, r_v = msgspec.structs.replace(team, silence=0.0), scenario.visibility.radius
+    spare = _leash_of(scenario, instant, uav, r_v) - r_v
     if spare > 0.0:
         wrong = f"too long: {uav.name} might return too late from r_v to find the UGV"
         return Fault(

@@ -2,11 +2,14 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from bus.messages.decision import NotCertified
 from bus.messages.team import Role
 from bus.messages.telemetry import TeamStatus
 from bus.messages.vehicle import UavReport
-from sim.engine.team_monitor import record_team, team_counters, team_reports
+from sim.compiling.compile import FloatArray
+from sim.engine.team_monitor import are_too_near, record_team, team_counters, team_reports
 from sim.scenario.team import teams_of
 from sim.scenario.types import Scenario
 from sim.server.recorder import Recorder
@@ -33,6 +36,12 @@ class TeamWatch:
         self._radio, self._recorder, self._dt = radio, recorder, scenario.dt
         self._counts = team_counters(len(teams))
         self._reports = [team_reports(len(team)) for team in teams]
+        flying = {uav.name for uav in scenario.uav if uav.initial_altitude is not None}
+        self._flying = [row for row, name in enumerate(uavs) if name in flying]
+        names = [vehicle.name for vehicle in scenario.vehicles]
+        self._vehicles = [names.index(uavs[row]) for row in self._flying]
+        self._separation = scenario.team.separation if scenario.team else 0.0
+        self._violations = 0
 
     def record(
         self,
@@ -62,6 +71,13 @@ class TeamWatch:
                 )
                 row["lost"] = self._recorder.is_lost(tick, uav)
             record_team(self._counts[team], rows, self._guards)
+        if len(self._flying) > 1:
+            self._violations += are_too_near(self._points(tick), self._separation)
+
+    def _points(self, tick: int) -> FloatArray:
+        """Return the true positions of the UAVs with an altitude [m]. Shape (UAVs, 3)."""
+        plane = self._recorder.states[tick, self._vehicles, :2]
+        return np.column_stack([plane, self._recorder.heights[tick, self._flying, 0]])
 
     def _exhausted(self, uav: int, report: UavReport) -> bool:
         """Return whether a UAV flies to its base as its charge lasts for that only."""
@@ -89,6 +105,7 @@ class TeamWatch:
             extra_guard_share=int(counts["extra"].sum()) / ticks,
             team_traffic=octets / len(members) / duration,
             left_without_relief=int(counts["left"].sum()),
+            separation_violations=self._violations,
             charges={
                 name: left for name in members if (left := self._radio.charge(name)) is not None
             },
