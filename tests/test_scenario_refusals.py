@@ -211,9 +211,9 @@ circle_is_within_sight | law.name=circle & uav.0.max_acceleration=inf
 teams_are_possible | team.guards=2 | team.guards = 2 | up to 1
 teams_are_possible | team.scout_range=4 | team.scout_range = 4.0 | from 4.75 m
 teams_are_possible | team.scout_range=9.2 | team.scout_range = 9.2 | up to 9.09 m
-teams_are_possible | team.guards=1 & uav.0.initial_altitude=14 | uav.0.max_altitude = 120.0 | up to 58 m
+teams_are_possible | team.guards=1 & uav.0.initial_altitude=14 | uav.0.max_altitude = 120.0 | up to 58
 teams_are_possible | team.guards=1 & uav.0.initial_altitude=14 & uav.0.max_altitude=16 | uav.0.min_altitude = 1.0
-| from 3.80902 m
+| from 3.81 m
 bands_are_apart | team.guards=1 & uav=[{position=[7,9]},{position=[8,9]}] & uav.*.initial_altitude=14
 & uav.1.initial_altitude=15 & uav.*.min_altitude=9 & uav.*.max_altitude=17
 | uav.1.initial_altitude = 15.0 | 16 m, with uav.0.max_altitude = 14 and uav.1.min_altitude = 16

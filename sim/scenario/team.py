@@ -18,7 +18,7 @@ from sim.scenario.types import Scenario, Uav, Ugv, altitude_limits
 
 _ROUNDING = 1e-9
 _PRECISION = 0.01
-"""Precision of the largest altitude of a scout [m]."""
+"""Precision of the lowest and the highest altitude of a scout [m]."""
 
 
 def mates_of(scenario: Scenario, uav: str) -> tuple[str, ...]:
@@ -245,8 +245,8 @@ def _too_high(scenario: Scenario, team: Team, k: int) -> Fault | None:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if fits(middle) else (low, middle)
     wrong = f"the noise of {uav.name}'s detections grows with altitude, so a scout may return too late from r_v"
-    allowed = f"up to {at_most(math.floor(low / _PRECISION) * _PRECISION, 4)} m"
-    return Fault(f"uav.{k}.max_altitude", limits.max_altitude, wrong, allowed)
+    enough = max(limits.initial_altitude, math.floor(low / _PRECISION) * _PRECISION)
+    return Fault(f"uav.{k}.max_altitude", limits.max_altitude, wrong, f"up to {at_most(enough)} m")
 
 
 def _too_low(scenario: Scenario, team: Team, k: int) -> Fault | None:
@@ -272,9 +272,8 @@ def _too_low(scenario: Scenario, team: Team, k: int) -> Fault | None:
         slope = min(slope, ugv.building_clearance / (roofs - ugv.marker_height))
     least = ugv.marker_height + needed / slope
     wrong = f"from the lowest altitude {uav.name} sees the UGV within {seen:.3g} m only, so a scout may return too late"
-    return Fault(
-        f"uav.{k}.min_altitude", limits.min_altitude, wrong, f"from {at_least(least, 4)} m"
-    )
+    enough = math.ceil((least + _ROUNDING) / _PRECISION) * _PRECISION
+    return Fault(f"uav.{k}.min_altitude", limits.min_altitude, wrong, f"from {enough:.2f} m")
 
 
 def _no_leash(scenario: Scenario, team: Team, path: str, uav: Uav) -> Fault:
