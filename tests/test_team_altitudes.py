@@ -118,7 +118,7 @@ def test_diving_uavs_keep_every_guarantee_in_a_town(number: int) -> None:
         numbers = {name: flight.team.number(name) for name in flight.team.refused}
         largest = max(numbers.values())
         accepted, newest[0] = largest > newest[0], largest
-        if tick > 100 and accepted:
+        if tick == 400 or (tick > 100 and accepted):
             return [max(numbers, key=numbers.__getitem__)]
         return [rng.choice(sorted(numbers))] if tick > 200 and rng.random() < 0.003 else []
 
