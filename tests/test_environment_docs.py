@@ -14,7 +14,9 @@ PAGE = "docs/reference/environment.md"
 
 
 @pytest.mark.parametrize(
-    "block", blocks("python", PAGE)[1:], ids=("vector", "parallel_vector", "names", "teams", "transformed")
+    "block",
+    blocks("python", PAGE)[1:],
+    ids=("vector", "parallel_vector", "names", "teams", "transformed"),
 )
 def test_environment_blocks_run(block, capsys):
     if "outrider_learning" in block:

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from bus.errors import ScenarioError
 from bus.messages.team import Role
+from outrider.envs.worlds import Worlds
 from outrider.running.flying import fly
 from outrider.running.summary import summarize
 from processes import await_status, child_of, flying, observing
@@ -366,3 +367,19 @@ def test_a_leash_that_is_too_long_names_what_would_do(
     if cure:
         allowed = float(line.rpartition(" m")[0].rpartition(" ")[2])
         town(10.0, **changes | {cure: allowed})
+
+
+def test_a_batch_flies_a_team_in_a_town_as_a_run_does() -> None:
+    """Its scouts obey the vertical rule too: with a policy that dives, all positions and altitudes are the run's."""
+    scenario = town(10.0, bands=SCOUTING_LOW, **DIVING, **{"links.team.loss": 0.3})
+    flight, _ = fly(scenario, 3)
+    uavs = [uav.name for uav in scenario.uav]
+    worlds = Worlds(scenario, 1, uavs, end_on_sight_lost=False)
+    worlds.reset(3, None)
+    for _ in range(scenario.ticks):
+        rows = {uav: worlds.observe(uav) for uav in uavs}
+        worlds.step({uav: dive(rows[uav]) for uav in uavs})
+    state = worlds.loop.state.batch.vehicles[0]
+    np.testing.assert_array_equal(state["position"], flight.world.position)
+    np.testing.assert_array_equal(state["vertical"]["altitude"], flight.world.vertical["altitude"])
+    assert flight.answers.roles()["uav_2"] is Role.SCOUT

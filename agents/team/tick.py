@@ -10,6 +10,7 @@ from agents.uav_inputs import UavInputs
 from agents.uav_parameters import UavParameters
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray
+from sim.models.altitude import VerticalState
 from sim.models.vehicles import State
 
 
@@ -61,6 +62,16 @@ def perceive_team(
 def role_filters(memory: TeamMemory | None, filtered: bool) -> bool:
     """Return whether a UAV's commands pass its safety filter in this tick; `filtered`: result without a team."""
     return filtered if memory is None else memory.own[0].filtered
+
+
+@compiled
+def role_carries_plans(
+    memory: TeamMemory | None, levels: RecordArray | None, vertical: VerticalState | None
+) -> bool:
+    """Return whether a UAV's commands carry plans in every role, as they do at an altitude; see `decide_height`."""
+    if memory is None or levels is None:
+        return False
+    return False if vertical is None else vertical.flies
 
 
 @compiled

@@ -13,10 +13,10 @@ from agents.estimation.map_updates import (
     next_block,
 )
 from agents.safety.altitude import Acceleration
-from agents.safety.control import filter_control
+from agents.safety.control import bare_control, filter_control
 from agents.safety.decision import CERTIFIED, NOMINAL
 from agents.safety.pending import add_plans
-from agents.team.tick import role_accepts, role_control, role_filters
+from agents.team.tick import role_accepts, role_carries_plans, role_control, role_filters
 from agents.uav_parameters import Target
 from agents.uav_tick import nominal_control
 from outrider.closed_loop.arrays import (
@@ -108,6 +108,15 @@ def _fly(
             constants.safety[0], memory.filter.pending, tick, batch.trajectories[world, vehicle]
         )
     else:
+        if role_carries_plans(memory.team, constants.levels, inputs.vertical):
+            nominal = Acceleration(u_x, u_y, u_z)
+            u_x, u_y, u_z = bare_control(constants.levels, memory.filter, inputs, nominal)
+            one.outgoing_trajectory, one.outgoing_trajectories = add_plans(
+                constants.safety[0],
+                memory.filter.pending,
+                tick,
+                batch.trajectories[world, vehicle],
+            )
         clear_decision(memory.team, memory.filter.decision[0])
     role_accepts(constants.team, memory.team, certified)
     end_command(
