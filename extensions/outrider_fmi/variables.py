@@ -45,6 +45,20 @@ BUILDINGS = (
         text=True,
     ),
 )
+TEAM_IN = (
+    Variable(
+        "team",
+        "",
+        "Fields `number`, `charge`, `team` and `request` of `UavObservation` as a JSON object; empty: none",
+        text=True,
+    ),
+)
+TEAM_OUT = (
+    Variable("role", "", "Role in its team", text=True),
+    Variable(
+        "team_command", "", "Fields `number` and `team` of `UavCommand` as a JSON object", text=True
+    ),
+)
 RADIO = (
     Variable("radio.new", "", "True at a step with a message from the UAV to its UGV"),
     Variable("radio.time", "s", "Time of the estimate: a tick times the step size"),

@@ -5,7 +5,7 @@ Inputs exist only for quantities that the vehicle perceives itself.
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -15,8 +15,9 @@ from agents.uav import UavPilot
 from agents.uav_parameters import uav_parameters
 from agents.ugv import UgvPilot
 from bus.errors import ScenarioError
-from bus.messages.base import Vector
+from bus.messages.base import Message, NonNegative, Tick, Vector
 from bus.messages.buildings import Building
+from bus.messages.team import Request, TeamMessage
 from bus.messages.vehicle import (
     Detection,
     RelativeInformation,
@@ -37,6 +38,8 @@ from outrider_fmi.variables import (
     OPERATOR,
     OWN_STATE,
     RADIO,
+    TEAM_IN,
+    TEAM_OUT,
     UAV_INPUTS,
     UAV_OUTPUTS,
     VERTICAL,
@@ -51,7 +54,29 @@ _LARGEST = 1e6
 
 Values = Mapping[str, Any]
 """Values of variables by name: numbers, flags and texts."""
+Outputs = dict[str, Any]
+"""Values of outputs by name."""
+_Decoded = TypeVar("_Decoded")
+
+
+class TeamPart(Message, frozen=True, kw_only=True):
+    """What a UAV of a team receives in a step, as in `UavObservation`."""
+
+    number: Tick = 0
+    charge: NonNegative | None = None
+    team: tuple[TeamMessage, ...] = ()
+    request: Request | None = None
+
+
+class TeamCommand(Message, frozen=True, kw_only=True):
+    """What it sends, as in `UavCommand`."""
+
+    number: Tick = 0
+    team: TeamMessage | None = None
+
+
 _BUILDINGS = msgspec.json.Decoder(tuple[Building, ...])
+_TEAM = msgspec.json.Decoder(TeamPart)
 
 
 def tick_at(time: float, size: float, dt: float) -> int:
@@ -96,10 +121,21 @@ def _buildings(text: str) -> tuple[Building, ...]:
     Raises:
         ValueError: If the text has another form.
     """
+    return _decoded(_BUILDINGS, "buildings", text) if text else ()
+
+
+def _decoded(decoder: msgspec.json.Decoder[_Decoded], name: str, text: str) -> _Decoded:
+    """Return the content of a text variable.
+
+    Raises:
+        ValueError: If the text has another form.
+    """
     try:
-        return _BUILDINGS.decode(text) if text else ()
+        return decoder.decode(text)
     except msgspec.DecodeError as error:
-        raise ValueError(f"buildings = {text[:80]!r}: {error}; allowed: a JSON array") from error
+        raise ValueError(
+            f"{name} = {text[:80]!r}: {error}; allowed: JSON as the description of the variable says"
+        ) from error
 
 
 def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:
@@ -119,6 +155,11 @@ def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:
         SelectedLaw(briefing, briefing.law, uav_parameters(briefing))
         bounds = bounds_of(briefing)
         needed = bounds.delay_ticks > 0 or bounds.interval_ticks > 1
+        if briefing.team is not None and needed:
+            raise ScenarioError(
+                f"{vehicle}: a guard's commands carry trajectories, but units have no variables; allowed: "
+                "certificate.max_command_delay = 0 and certificate.max_command_interval = dt"
+            )
         if LAWS[briefing.law.name].watched and needed:
             raise ScenarioError(
                 f"{vehicle}: law.name = {briefing.law.name!r}: its commands carry trajectories, but units have "
@@ -158,8 +199,10 @@ class VehicleUnit:
             climbs = briefing.altitude is not None
             discovers = briefing.max_building_height is not None
             self.inputs: tuple[Variable, ...] = UAV_INPUTS + ALTITUDE * climbs
-            self.inputs += BUILDINGS * discovers
+            teamed = briefing.team is not None
+            self.inputs += BUILDINGS * discovers + TEAM_IN * teamed
             self.outputs: tuple[Variable, ...] = UAV_OUTPUTS + VERTICAL * climbs
+            self.outputs += TEAM_OUT * teamed
             content = f"the UAV's pilot, law {briefing.law.name}"
         else:
             row = DRIVERS[briefing.driver]
@@ -171,12 +214,12 @@ class VehicleUnit:
         self.about = f"{briefing.vehicle} of an Outrider scenario: {content}"
         """Description for the importing tool."""
 
-    def start(self) -> dict[str, float]:
+    def start(self) -> Outputs:
         """Return the outputs before the first step."""
         values: dict[str, Any] = {one.name: one.initial for one in self.outputs}
         return values | ({"margin": -math.inf} if "margin" in values else {})
 
-    def step(self, time: float, size: float, values: Values) -> dict[str, float]:
+    def step(self, time: float, size: float, values: Values) -> Outputs:
         """Return the outputs from this time on.
 
         Args:
@@ -199,19 +242,21 @@ class VehicleUnit:
             return self._fly(self._pilot, own, values)
         return self._drive(self._pilot, own, values)
 
-    def _fly(self, pilot: UavPilot, own: dict[str, Any], values: Values) -> dict[str, float]:
+    def _fly(self, pilot: UavPilot, own: dict[str, Any], values: Values) -> Outputs:
         detections: tuple[Detection, ...] = ()
         if values["detection.new"]:
             relative = pair(values, "detection")
             detections = (Detection(time=values["detection.time"], relative_position=relative),)
         if "altitude" in values:
             own |= {"altitude": values["altitude"], "climb_rate": values["climb_rate"]}
+        if values.get("team"):
+            own |= msgspec.structs.asdict(_decoded(_TEAM, "team", values["team"]))
         seen = UavObservation(
             **own, detections=detections, buildings=_buildings(values.get("buildings", ""))
         )
         return self._outputs(pilot.act(seen), seen.altitude)
 
-    def _outputs(self, command: UavCommand, altitude: float | None) -> dict[str, float]:
+    def _outputs(self, command: UavCommand, altitude: float | None) -> Outputs:
         outputs = self.start()
         outputs["acceleration.x"], outputs["acceleration.y"] = command.acceleration
         if altitude is not None:
@@ -224,6 +269,10 @@ class VehicleUnit:
             outputs["certified"] = decision is not None and decision.certified
             if decision is not None and decision.certified_distance is not None:
                 outputs["margin"] = self._visible(altitude) - decision.certified_distance
+        if "role" in outputs:
+            outputs["role"] = "" if report is None or report.role is None else report.role.value
+            sent = TeamCommand(number=command.number, team=command.team)
+            outputs["team_command"] = msgspec.json.encode(sent).decode()
         for message in command.radio:
             outputs["radio.new"], outputs["radio.time"] = True, message.time
             outputs["radio.x"], outputs["radio.y"] = message.relative_position
@@ -237,7 +286,7 @@ class VehicleUnit:
             return briefing.visibility_radius if isinstance(briefing, UavBriefing) else 0.0
         return radius_at(briefing, altitude)
 
-    def _drive(self, pilot: UgvPilot, own: dict[str, Any], values: Values) -> dict[str, float]:
+    def _drive(self, pilot: UgvPilot, own: dict[str, Any], values: Values) -> Outputs:
         radio: tuple[RelativeInformation, ...] = ()
         operator: tuple[Teleoperation, ...] = ()
         if values.get("radio.new"):

@@ -29,7 +29,7 @@ from outrider.running.user_code import foreign_code
 from outrider_fmi import variables
 from outrider_fmi.driver import FmuPolicy
 from outrider_fmi.export import export_vehicle, export_world
-from outrider_fmi.vehicle_unit import VehicleUnit
+from outrider_fmi.vehicle_unit import TeamCommand, TeamPart, VehicleUnit
 from outrider_fmi.world_unit import WorldUnit
 from refusals import refused
 from sim.compiling.compile import FloatArray
@@ -184,8 +184,9 @@ def test_world_unit_loses_sight_where_a_low_run_does() -> None:
             ("uav.0.initial_altitude=14.0", "altitude.law=best", "detections.noise=0.05"),
         ),
         ("town", ("building_field=[]", HUT, "buildings.known=false", "ugv.0.building_clearance=1")),
+        ("scouts", ()),
     ],
-    ids=["plane", "space", "town"],
+    ids=["plane", "space", "town", "team"],
 )
 def test_the_pilots_unit_answers_what_the_runs_pilot_answers(
     scenario: str, changes: tuple[str, ...]
@@ -212,6 +213,9 @@ def test_the_pilots_unit_answers_what_the_runs_pilot_answers(
         if seen.buildings:
             discovered += len(seen.buildings)
             values |= {"buildings": msgspec.json.encode(seen.buildings).decode()}
+        if seen.team:
+            part = TeamPart(number=seen.number, charge=seen.charge, team=seen.team)
+            values |= {"team": msgspec.json.encode(part).decode()}
         if detection is not None:
             values |= {"detection.new": True, "detection.time": detection.time}
             values |= zip(("detection.x", "detection.y"), detection.relative_position, strict=True)
@@ -226,6 +230,10 @@ def test_the_pilots_unit_answers_what_the_runs_pilot_answers(
             assert got["margin"] == visible(seen.altitude) - decision.certified_distance
             assert (got["estimate.x"], got["estimate.y"]) == report.estimate
             certified += got["certified"]
+        if scenario == "scouts":
+            sent = msgspec.json.decode(got["team_command"], type=TeamCommand)
+            assert (sent.number, sent.team) == (command.number, command.team)
+            assert got["role"] == ("" if report is None or report.role is None else report.role)
         assert got["radio.new"] == bool(command.radio)
         radioed += bool(command.radio)
         return command
@@ -410,6 +418,7 @@ HAZARD = 'hazard=[{kind="block",center=[30,30],radius=0.2}]'
             ["law.name=certified", "certificate.max_command_delay=0.1"],
             "uav_0: law.name = 'certified'",
         ),
+        ("uav", ["team={}", "certificate.max_command_delay=0.1"], "uav_0: a guard's commands"),
         ("uav", ["law.name=path", "custom.path=a:b"], "uav_0: the law 'path'"),
         ("ugv", ["ugv.0.driver=external"], "ugv_0: the driver 'external'.*allowed: waypoints"),
         ("ugv", ["ugv.0.driver=fmu:x.fmu"], "ugv_0: the driver 'policy'"),
