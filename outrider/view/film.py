@@ -3,7 +3,7 @@
 import math
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,12 @@ from PIL import Image
 
 from bus.errors import ScenarioError
 from bus.files import writing
+from bus.messages.telemetry import Truth
 from outrider.recording.reader import Recording, coverages, flight_of, grounds
 from outrider.recording.refly import external_uavs, from_the_start, restore
 from outrider.view.flight_picture import draw_flight
-from sim.compiling.compile import FloatArray
+from sim.compiling.compile import FloatArray, IntArray
+from sim.compiling.records import code
 from sim.scenario.types import NO_UAV
 from sim.scene.altitude import altitudes_of, decisive, sight_of, worst_sight
 from sim.scene.colors import (
@@ -38,6 +40,7 @@ from sim.scene.colors import (
 from sim.scene.frames import Frames
 from sim.scene.known import scene_of
 from sim.scene.model import observed_scene
+from sim.scene.team import occurring
 from sim.server.flight import control_title
 
 WIDTH = 800
@@ -226,11 +229,22 @@ class Film:
         else:
             escorts = {escort.uav: escort.ugv for escort in first.escorts}
             scene = observed_scene(
-                head.name, None, escorts=escorts, vehicles=first.vehicles, ground=self._ground()
+                head.name,
+                None,
+                escorts=escorts,
+                vehicles=first.vehicles,
+                teamed=[escort.uav for escort in first.escorts if escort.teamed],
+                ground=self._ground(),
             )
+        self._roles = _roles_in(self._truths)
         reported = any(escort.report for escort in self._truths[-1].escorts)
         self._frames = Frames(
-            scene, width=WIDTH, facts=facts, estimates=reported, hazards=self._ground_waiting
+            scene,
+            width=WIDTH,
+            facts=facts,
+            estimates=reported,
+            hazards=self._ground_waiting,
+            roles=occurring(self._roles),
         )
 
     def frame_times(self, step: float) -> FloatArray:
@@ -278,4 +292,15 @@ class Film:
             hazards=hazards,
             altitudes=altitudes_of(truth.vehicles),
             hidden={escort.uav for escort in truth.escorts if escort.sight_radius == 0.0},
+            roles={name: roles[: row + 1] for name, roles in self._roles.items()},
         )
+
+
+def _roles_in(truths: Sequence[Truth]) -> dict[str, IntArray]:
+    """Return the code of the role in each truth of each UAV that has reported one, 0: none. Shape (truths,)."""
+    found = {escort.uav: np.zeros(len(truths), dtype=np.int64) for escort in truths[-1].escorts}
+    for k, truth in enumerate(truths):
+        for escort in truth.escorts:
+            if escort.report is not None and escort.report.role is not None:
+                found[escort.uav][k] = code(escort.report.role)
+    return {uav: roles for uav, roles in found.items() if roles.any()}

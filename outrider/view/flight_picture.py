@@ -14,12 +14,13 @@ from matplotlib.transforms import offset_copy
 from bus.errors import shortened
 from bus.messages.ground import GroundMap
 from outrider import style
-from sim.compiling.compile import FloatArray
+from sim.compiling.compile import FloatArray, IntArray
 from sim.scene.altitude import sight_at
 from sim.scene.drawing import Map, legend_of
 from sim.scene.ground_map import HIT, ground_map
 from sim.scene.known import inner_radius, scene_of
 from sim.scene.model import Scene
+from sim.scene.team import LOOKS, dashes_of, in_role, known_roles, occurring
 from sim.server.flight import Flight
 
 _RATIOS = (1.35, 1.0, 0.8, 0.8)
@@ -28,6 +29,8 @@ SIZE = (1400, 800)
 """Size of the picture [px]."""
 _LEGEND_OF_GROUND = 60
 """Additional height for the legend of hazards [px]."""
+_LEGEND_OF_TEAM = 40
+"""Additional height for the legend of roles [px]."""
 _ALTITUDE = 130
 """Additional height for the chart of the altitude [px]."""
 
@@ -62,6 +65,8 @@ def flight_figure(flight: Flight, hazards: GroundMap | None = None) -> Figure:
         width, height = SIZE
         if hazards is not None:
             height += _LEGEND_OF_GROUND
+        if flight.recorder.roles.any():
+            height += _LEGEND_OF_TEAM
         panels = _panels(flight)
         height += _ALTITUDE if _draw_altitude in panels else 0
         figure = style.new_figure(width, height, header=0.1)
@@ -117,6 +122,7 @@ def draw_map(
         np.minimum(flight.world.coverage / flight.scenario.coverage.desired, 1.0),
         altitudes=dict(zip(_names(flight), heights[:, 0].tolist(), strict=False)),
         hidden={name for name, row in zip(_names(flight), heights, strict=False) if row[3] == 0.0},
+        roles=_roles(flight),
     )
     return drawn.image
 
@@ -125,11 +131,11 @@ def _draw_map(figure: Figure, axes: Axes, flight: Flight, hazards: GroundMap | N
     scene = scene_of(flight.scenario, flight.world.buildings)
     image = draw_map(axes, flight, scene, hazards)
     if hazards is not None:  # the legend is too long for the space below the map
-        keys = legend_of(scene, hazards=hazards)
+        keys = legend_of(scene, hazards=hazards, roles=occurring(_roles(flight)))
         figure.legend(handles=keys, loc="outside lower left", ncols=6, columnspacing=1.6)
     else:
         axes.legend(
-            handles=legend_of(scene),
+            handles=legend_of(scene, roles=occurring(_roles(flight))),
             loc="upper center",
             bbox_to_anchor=(0.5, 0.0),
             bbox_transform=offset_copy(axes.transAxes, figure, y=-30.0, units="points"),
@@ -142,6 +148,27 @@ def _draw_map(figure: Figure, axes: Axes, flight: Flight, hazards: GroundMap | N
 
 def _names(flight: Flight) -> tuple[str, ...]:
     return tuple(uav.name for uav in flight.world.uavs)
+
+
+def _roles(flight: Flight) -> dict[str, IntArray]:
+    """Return the role codes over time of each UAV in a team. Shape (rows,)."""
+    return dict(zip(_names(flight), flight.recorder.roles.T, strict=False))
+
+
+def _plot(axes: Axes, flight: Flight, values: FloatArray, *, label: bool = False) -> None:
+    """Draw values of each UAV over time, in a team in the look of its role. Shape (rows, UAVs)."""
+    time, roles = times(flight), _roles(flight)
+    for k, name in enumerate(_names(flight)):
+        named = name if label else ""
+        if name not in roles or not roles[name].any():
+            axes.plot(time, values[:, k], **style.line(k), label=named)
+            continue
+        known = known_roles(roles[name])
+        axes.plot([], [], **style.line(k), label=named)
+        for role in occurring({name: known}):
+            look = LOOKS[role]
+            line = style.line(k) | {"linestyle": dashes_of(look), "alpha": look.opacity}
+            axes.plot(time, in_role(values[:, k], known, role), **line, linewidth=1.5 * look.width)
 
 
 def _shade_violations(axes: Axes, flight: Flight) -> None:
@@ -161,10 +188,8 @@ def _shade_violations(axes: Axes, flight: Flight) -> None:
 
 
 def _draw_distance(axes: Axes, flight: Flight) -> None:
-    time, distance = times(flight), flight.recorder.escorts[:, :, 0]
-    r_v = flight.scenario.visibility.radius
-    for k, uav in enumerate(flight.world.uavs):
-        axes.plot(time, distance[:, k], **style.line(k), label=uav.name)
+    distance, r_v = flight.recorder.escorts[:, :, 0], flight.scenario.visibility.radius
+    _plot(axes, flight, distance, label=True)
     style.over_time(axes, _end(flight), r"$\|p_\Delta\|$ [m]")
     axes.set_ylim(0.0, 1.12 * max(r_v, float(distance.max())))
     r_s = inner_radius(flight.scenario, flight.world.uavs[0].escorts)
@@ -226,9 +251,7 @@ def _draw_altitude(axes: Axes, flight: Flight) -> None:
 
 
 def _draw_error(axes: Axes, flight: Flight) -> None:
-    error = flight.recorder.escorts[:, :, 1]
-    for k in range(error.shape[1]):
-        axes.plot(times(flight), error[:, k], **style.line(k))
+    _plot(axes, flight, flight.recorder.escorts[:, :, 1])
     style.over_time(axes, _end(flight), "e(t) [m²]")
     axes.set_title("Coverage error around the UGV")
 

@@ -19,12 +19,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Ellipse
 
 from bus.messages.ground import GroundMap
-from sim.compiling.compile import FloatArray
+from bus.messages.team import Role
+from sim.compiling.compile import FloatArray, IntArray
 from sim.scene.altitude import ring_radius
 from sim.scene.buildings import DrawnBuildings, DrawnShadow, legend_of_buildings
 from sim.scene.colors import COVERED, ESTIMATE, INK, LIMIT, MUTED, RULE, UAV, UGV
 from sim.scene.hazards import DrawnGround, legend_of_ground
 from sim.scene.model import Point, Ring, Scene
+from sim.scene.team_drawing import DrawnCells, RoleTrack, legend_of_roles
 
 COVERAGE = LinearSegmentedColormap.from_list("covered", list(COVERED))
 """Colormap from uncovered to covered ground."""
@@ -68,6 +70,7 @@ _STYLE: dict[str, Any] = {
 }
 
 _PLANE: Mapping[str, float] = MappingProxyType({})
+_NO_ROLES: Mapping[str, IntArray] = MappingProxyType({})
 Estimate = tuple[Point, tuple[float, float, float]]
 """UAV's estimate of its UGV's position [m], and its covariance xx, xy, yy [m²]."""
 
@@ -177,6 +180,9 @@ class Map:
         self._cells: tuple[int, int] | None = None
         self._still: list[Artist] = []
         self._tracks: dict[str, Track] = {}
+        self._role_tracks: dict[str, RoleTrack] = {}
+        self._borders = DrawnCells(axes, scene) if scene.teams else None
+        teamed = {name for team in scene.teams for name in team}
         self._routes: dict[str, Line2D] = {}
         for one in scene.vehicles:
             goals = np.array(one.goals, dtype=np.float64).reshape(-1, 2)
@@ -186,7 +192,10 @@ class Map:
                 )
             if hazards is not None and not one.flies:
                 (self._routes[one.name],) = axes.plot([], [], color=one.color, **_ROUTE)
-            self._tracks[one.name] = Track(axes, one.color, flies=one.flies)
+            if one.name in teamed:
+                self._role_tracks[one.name] = RoleTrack(axes, one.color)
+            else:
+                self._tracks[one.name] = Track(axes, one.color, flies=one.flies)
         self._rings = [(ring, draw_ring(axes, ring)) for ring in scene.rings]
         self._sights: dict[tuple[str, str], Line2D] = {}
         if scene.rings:
@@ -210,7 +219,9 @@ class Map:
         found += [] if self._hazards is None else self._hazards.artists
         found += [] if self._buildings is None else self._buildings.artists
         found += [] if self._shadow is None else [self._shadow.artist]
+        found += [] if self._borders is None else [self._borders.artist]
         found += [artist for track in self._tracks.values() for artist in track.artists]
+        found += [artist for track in self._role_tracks.values() for artist in track.artists]
         found += [circle for _, circle in self._rings]
         found += [artist for one in self._estimates.values() for artist in one.artists]
         return sorted(found, key=lambda artist: artist.get_zorder())
@@ -223,6 +234,7 @@ class Map:
         hazards: GroundMap | None = None,
         altitudes: Mapping[str, float] = _PLANE,
         hidden: Collection[str] = (),
+        roles: Mapping[str, IntArray] = _NO_ROLES,
     ) -> None:
         """Show a moment of the run.
 
@@ -233,6 +245,7 @@ class Map:
             hazards: Ground with its hazards; None: unchanged.
             altitudes: Altitude of each UAV that has one [m].
             hidden: UAVs from which a building hides their UGV.
+            roles: Code of the `Role` at each point of the path of each UAV in a team, 0: unknown. Shape (points,).
         """
         if hazards is not None and self._hazards is not None:
             self._hazards.show(hazards)
@@ -244,9 +257,13 @@ class Map:
             self._cells = (coverage.shape[0], coverage.shape[1])
         for name, track in self._tracks.items():
             track.move(tracks[name])
+        for name, path in self._role_tracks.items():
+            path.move(tracks[name], roles.get(name))
         positions = {
             name: (float(path[-1, 0]), float(path[-1, 1])) for name, path in tracks.items()
         }
+        if self._borders is not None:
+            self._borders.show(positions)
         for ring, circle in self._rings:
             circle.center = positions[ring.around]
             circle.set_radius(ring_radius(self._scene, ring, altitudes))
@@ -288,15 +305,20 @@ def key(color: str, label: str, **line: Any) -> Line2D:  # noqa: ANN401 - matplo
 
 
 def legend_of(
-    scene: Scene, *, estimates: bool = False, hazards: GroundMap | None = None
+    scene: Scene,
+    *,
+    estimates: bool = False,
+    hazards: GroundMap | None = None,
+    roles: Collection[Role] = (),
 ) -> list[Artist]:
-    """Return the entries of a scene's legend, one for each kind of object."""
+    """Return the entries of a scene's legend, one for each kind of object; `roles`: those that occur in teams."""
     mark = {"markeredgecolor": "white", "markersize": 7}
     uavs = sum(one.flies for one in scene.vehicles)
     ugvs = len(scene.vehicles) - uavs
     keys: list[Artist] = []
     if uavs:
         keys.append(key(UAV[0], "UAV" if uavs == 1 else f"{uavs} UAVs", marker="o", **mark))
+    keys += legend_of_roles(scene, roles)
     driving = "UGV" if ugvs == 1 else f"{ugvs} UGVs"
     keys.append(key(UGV[0], driving, marker="s", linewidth=2.2, **mark))
     if any(one.goals for one in scene.vehicles):

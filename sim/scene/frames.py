@@ -13,7 +13,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from bus.messages.ground import GroundMap
-from sim.compiling.compile import FloatArray
+from bus.messages.team import Role
+from sim.compiling.compile import FloatArray, IntArray
 from sim.scene.altitude import Sight
 from sim.scene.colors import COVERED, LIMIT, MUTED
 from sim.scene.drawing import DPI, Estimate, Map, key, legend_of, plot_style
@@ -23,11 +24,14 @@ _HEADER, _FOOTER, _SIDE = 92, 116, 68
 """Margins above, below and beside the ground [px]."""
 _LEGEND_OF_GROUND = 48
 """Extra margin below, for the legend of hazards [px]."""
+_LEGEND_OF_TEAM = 44
+"""Extra margin below, for the legend of roles [px]."""
 _LABELS = 10
 """Extra offset of the ground to the right, for labels of three digits and the axis label [px]."""
 _TALLEST = 1000
 """Maximum height of the ground [px]."""
 _PLANE: Mapping[str, float] = MappingProxyType({})
+_NO_ROLES: Mapping[str, IntArray] = MappingProxyType({})
 
 
 class Frames:
@@ -39,6 +43,7 @@ class Frames:
         facts: Line below the title.
         estimates: True to show the UAVs' estimates.
         hazards: Ground with its hazards; None: no hazards.
+        roles: Roles that occur in teams.
     """
 
     def __init__(
@@ -49,10 +54,12 @@ class Frames:
         facts: str = "",
         estimates: bool = False,
         hazards: GroundMap | None = None,
+        roles: Collection[Role] = (),
     ) -> None:
         scale = min((width - 2 * _SIDE) / scene.width, _TALLEST / scene.height)
         across, tall = scene.width * scale, scene.height * scale
         footer = _FOOTER if hazards is None else _FOOTER + _LEGEND_OF_GROUND
+        footer += _LEGEND_OF_TEAM if roles else 0
         total = round(tall + _HEADER + footer) // 2 * 2  # video requires even numbers
         self._left, self._rows = _SIDE / 2 / width, (1.0 - 20 / total, 1.0 - 58 / total)
         with plot_style():
@@ -71,7 +78,7 @@ class Frames:
             self._write(scene.title, facts, width)
             self._figure.legend(
                 handles=[
-                    *legend_of(scene, estimates=estimates, hazards=hazards),
+                    *legend_of(scene, estimates=estimates, hazards=hazards, roles=roles),
                     key(COVERED[-1], "covered", marker="s", linestyle="", markersize=7),
                 ],
                 loc="lower center",
@@ -115,6 +122,7 @@ class Frames:
         hazards: GroundMap | None = None,
         altitudes: Mapping[str, float] = _PLANE,
         hidden: Collection[str] = (),
+        roles: Mapping[str, IntArray] = _NO_ROLES,
     ) -> npt.NDArray[np.uint8]:
         """Return the picture of a moment; other arguments as in `Map.show`.
 
@@ -128,11 +136,12 @@ class Frames:
             hazards: Ground with its hazards; None: unchanged.
             altitudes: Altitude of each UAV that has one [m].
             hidden: UAVs from which a building hides their UGV.
+            roles: Code of the role at each point of the path of each UAV in a team.
 
         Returns:
             Red, green, blue and opacity; shape (rows, columns, 4). Each call returns a new array.
         """
-        self._map.show(tracks, coverage, estimates, hazards, altitudes, hidden)
+        self._map.show(tracks, coverage, estimates, hazards, altitudes, hidden, roles)
         self._clock.set_text(f"{time:7.1f} s")
         self._distance.set_text(_sight_text(sight, altitudes))
         self._distance.set_color(LIMIT if sight is not None and sight.lost else MUTED)

@@ -7,6 +7,7 @@ from bus.messages.buildings import Building
 from bus.messages.telemetry import Geometry
 from bus.registry import DRIVERS
 from sim.engine.briefing import limits
+from sim.scenario.team import teams_of
 from sim.scenario.types import Scenario, Ugv, switching_radius
 from sim.scenario.world_checks import escorts
 from sim.scene.model import Scene, Space, assembled
@@ -78,4 +79,5 @@ def scene_of(scenario: Scenario, buildings: tuple[Building, ...] = ()) -> Scene:
             camera=scenario.camera if scenario.has_altitude else None,
             markers=_markers(scenario),
         ),
+        teams=teams_of(scenario),
     )

@@ -5,7 +5,7 @@ Foxglove view, the terminal and the page. Values that change with time (position
 passed to the drawing code.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from bus.messages.buildings import Building, Camera
@@ -74,6 +74,8 @@ class Scene:
     """Pairs (UAV, escorted UGV)."""
     rings: tuple[Ring, ...] = ()
     space: Space = field(default_factory=Space)
+    teams: tuple[tuple[str, ...], ...] = ()
+    """UAVs of each team, in name order."""
 
     def with_rings(self, *symbols: str) -> "Scene":
         """Return the scene with only the circles of these symbols."""
@@ -94,6 +96,7 @@ def observed_scene(
     *,
     escorts: Mapping[str, str],
     vehicles: Iterable[str],
+    teamed: Collection[str] = (),
     ground: Point = (40.0, 40.0),
 ) -> Scene:
     """Return the scene for an observer, who does not know the scenario.
@@ -103,11 +106,17 @@ def observed_scene(
         geometry: Geometry from the simulator; None: draw no circles.
         escorts: Escorted UGV of each UAV.
         vehicles: Names of all vehicles.
+        teamed: UAVs that form a team with the others of their UGV.
         ground: Width and height of the ground without a geometry [m].
     """
     ugvs = sorted(set(vehicles) - set(escorts))
+    teams = tuple(
+        team
+        for ugv in ugvs
+        if (team := tuple(uav for uav in sorted(teamed) if escorts.get(uav) == ugv))
+    )
     if geometry is None:
-        return assembled(title, ground, escorts, ugvs)
+        return assembled(title, ground, escorts, ugvs, teams=teams)
     r_v, r_s = geometry.visibility_radius, geometry.switching_radius
     return assembled(
         title,
@@ -122,6 +131,7 @@ def observed_scene(
             camera=geometry.camera,
             markers=geometry.marker_heights,
         ),
+        teams=teams,
     )
 
 
@@ -135,6 +145,7 @@ def assembled(
     radii: Point | None = None,
     inner: Mapping[str, float | None] | None = None,
     space: Space | None = None,
+    teams: tuple[tuple[str, ...], ...] = (),
 ) -> Scene:
     """Return a scene from its parts.
 
@@ -147,6 +158,7 @@ def assembled(
         radii: r_v and the sensor's range [m]; None: no circles.
         inner: r_s around each UGV [m]; None: no circle.
         space: Buildings and camera; None: neither.
+        teams: UAVs of each team.
     """
     uavs, ugvs = sorted(escorts), list(ugvs)
     vehicles = [
@@ -174,6 +186,7 @@ def assembled(
         escorts=tuple((uav, escorts[uav]) for uav in uavs),
         rings=tuple(rings),
         space=space or Space(),
+        teams=teams,
     )
 
 

@@ -7,16 +7,17 @@ import platform
 from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from bus.messages.decision import NotCertified
+from bus.messages.team import Role
 from bus.messages.vehicle import UavReport
 from sim.channel.link_records import ARRIVED
-from sim.compiling.compile import FloatArray, compiled
-from sim.compiling.records import RecordArray, record_type
+from sim.compiling.compile import FloatArray, IntArray, compiled
+from sim.compiling.records import RecordArray, choice, code, record_type
 from sim.engine.monitor import NEVER, ArrivalRecord
 from sim.engine.world_state import BatchState, BatchTables
 from sim.engine.world_tick import measure
@@ -24,6 +25,7 @@ from sim.models.sight import is_lost, sight_margin
 from sim.scenario.team import observer_rows
 from sim.world import World
 
+_N = TypeVar("_N", bound=np.generic)
 _ROOM = 16_384
 """Initial capacity [rows], at most the length of the run; it is doubled when it is full."""
 _HASHED = 4096
@@ -99,9 +101,9 @@ def _record_tick(
         heights[k, uav, 3] = vehicle.sight_radius
 
 
-def _grown(rows: FloatArray, room: int) -> FloatArray:
+def _grown(rows: npt.NDArray[_N], room: int) -> npt.NDArray[_N]:
     """Return a copy of an array with space for more rows."""
-    grown: FloatArray = np.empty((room, *rows.shape[1:]))
+    grown = np.zeros((room, *rows.shape[1:]), dtype=rows.dtype)
     grown[: len(rows)] = rows
     return grown
 
@@ -128,6 +130,8 @@ class Recorder:
         self._reference: FloatArray = np.empty((room, reference_rows, 4))
         climbing = uavs if world.scenario.has_altitude else 0
         self._heights: FloatArray = np.empty((room, climbing, len(_HEIGHT)))
+        teamed = 0 if world.scenario.team is None else uavs
+        self._roles: IntArray = np.zeros((room, teamed), dtype=np.int64)
         self.arrivals: RecordArray = np.zeros(uavs, record_type(ArrivalRecord))
         """`ArrivalRecord` of each UAV at the latest recorded tick. Shape (UAVs,)."""
 
@@ -136,6 +140,7 @@ class Recorder:
         room = min(2 * len(self._states), self._world.scenario.ticks + 1)
         self._states, self._escorts = _grown(self._states, room), _grown(self._escorts, room)
         self._reference, self._heights = _grown(self._reference, room), _grown(self._heights, room)
+        self._roles = _grown(self._roles, room)
 
     def record(
         self, reports: Sequence[UavReport | None], revoked: Sequence[NotCertified | None] = ()
@@ -168,6 +173,8 @@ class Recorder:
                         certified = False
                     distance = math.nan if bound is None else bound
                 self._escorts[k - 1, uav, _REPORTED:] = *report.estimate, certified, distance
+                if report.role is not None and self._roles.shape[1]:
+                    self._roles[k - 1, uav] = code(report.role)
         self.ticks, self.rows = k, k + 1
 
     @property
@@ -191,6 +198,11 @@ class Recorder:
         the UGV is visible [m], 0 while a building hides it.
         """
         return self._heights[: self.rows]
+
+    @property
+    def roles(self) -> IntArray:
+        """Return the code of each UAV's `Role`, 0: none reported. Shape (rows, UAVs); (rows, 0) without teams."""
+        return self._roles[: self.rows]
 
     @property
     def tracking_error(self) -> float | None:
@@ -299,13 +311,14 @@ class Recorder:
             numbers += self._heights[k].ravel().tolist()
             if self._disturbed:
                 numbers += self._reference[k, self._world.escorts[:, 0], :2].ravel().tolist()
-            yield [k, k * dt, *("" if math.isnan(number) else number for number in numbers)]
+            roles = [choice(Role, role) or "" for role in self._roles[k].tolist()]
+            yield [k, k * dt, *("" if math.isnan(number) else number for number in numbers), *roles]
 
     def write(self, path: Path) -> None:
         """Write the trajectory as CSV; the header holds the units.
 
-        Numbers are exact, and missing values are empty fields. If disturbances act, the last columns hold the reference
-        positions of the UAVs.
+        Numbers are exact, and missing values are empty fields. If disturbances act, further columns hold the reference
+        positions of the UAVs; in a team, the last ones hold the roles.
         """
         uavs = [uav.name for uav in self._world.uavs]
         header = ["tick", "time [s]"]
@@ -315,6 +328,8 @@ class Recorder:
             header += [f"{name}.{field}" for name in uavs for field in _HEIGHT]
         if self._disturbed:
             header += [f"{name}.reference_{axis} [m]" for name in uavs for axis in "xy"]
+        if self._roles.shape[1]:
+            header += [f"{name}.role" for name in uavs]
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(header)
