@@ -204,6 +204,10 @@ class Geometry(Message, frozen=True, kw_only=True):
     """Camera of the UAVs with an altitude; None: they fly in the plane."""
     marker_heights: dict[Name, NonNegative] = {}
     """Height of each UGV's marker above the ground [m], at which a camera detects it."""
+    teams: tuple[tuple[Name, ...], ...] = ()
+    """UAVs of each team, in name order; empty: there are none."""
+    endurances: dict[Name, Positive] = {}
+    """Flight time with a full charge of each UAV in a team that has an endurance [s]."""
 
 
 class CertificateStatus(Message, frozen=True, kw_only=True):

@@ -17,7 +17,9 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from bus.messages.base import Vector
+from bus.messages.control import Action, Control
 from bus.messages.decision import WHAT_HAPPENED
+from bus.messages.team import Request as TeamRequest
 from outrider.running.metrics import LINK, MISSION, NOW, PROCESS
 from outrider_dashboard.address import Access
 from outrider_dashboard.hub import Browser, Hub
@@ -37,9 +39,11 @@ class PageMessage(msgspec.Struct, forbid_unknown_fields=True):
     """Message from a page."""
 
     kind: str
-    """`drawn`, `here`, `take`, `back` or `drive`."""
+    """`drawn`, `here`, `take`, `back`, `drive` or `request`."""
     deflection: Vector | None = None
     vehicle: str = ""
+    request: TeamRequest | None = None
+    """Request to a UAV of a team."""
 
 
 _DECODER = msgspec.json.Decoder(PageMessage)
@@ -184,5 +188,9 @@ def _handle(hub: Hub, browser: Browser, text: str) -> None:
             hub.teleoperation.take_control(browser.number, browser.name, message.vehicle)
         case "back":
             hub.teleoperation.hand_back(browser.number)
+        case "request" if message.request is not None and hub.has_uav(message.vehicle):
+            hub.source.control(
+                Control(action=Action.REQUEST, vehicle=message.vehicle, request=message.request)
+            )
         case "drive":
             hub.teleoperation.steer(browser.number, message.deflection)

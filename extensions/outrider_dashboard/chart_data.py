@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from bus.messages.links import LinkStatus
 from bus.messages.telemetry import EscortTruth, Status, Truth
+from sim.compiling.records import code
 
 _FIRST_STRIDE = 0.1
 """Initial simulated time between two rows [s]; doubles whenever the history is full."""
@@ -81,7 +82,7 @@ class ChartData:
     Columns: time [s], real-time factor; x and y of each vehicle [m]; then for each escort the distance [m], e(t) [m²],
     the estimation error [m], the age of the newest detection [s] (None without one), the recent share of lost
     detections, 1 during a blackout, else 0, and the distance within which the UGV is visible [m] (None: always r_v, or
-    a building hides it).
+    a building hides it), and the code of the role in a team (0: none).
     """
 
     def __init__(self) -> None:
@@ -136,8 +137,15 @@ def _row(truth: Truth, factor: float, dt: float, losses: LossRates) -> Row:
             None if lost is None else round(lost, 2),
             float(losses.has_blackout(truth.time, escort.uav, escort.ugv)),
             round(escort.sight_radius, 3) if escort.sight_radius else None,
+            _role(escort),
         )
     return tuple(row)
+
+
+def _role(escort: EscortTruth) -> int:
+    """Return the code of the UAV's role in its team; 0: none."""
+    role = None if escort.report is None else escort.report.role
+    return 0 if role is None else code(role)
 
 
 def _estimate_error(truth: Truth, escort: EscortTruth, dt: float) -> float | None:

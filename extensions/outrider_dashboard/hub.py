@@ -155,6 +155,10 @@ class Hub:
             return self.status.drivers
         return {ugv: "" for _, ugv in self.history.escorts}
 
+    def has_uav(self, name: str) -> bool:
+        """Return True if the run has a UAV of this name."""
+        return any(uav == name for uav, _ in self.history.escorts)
+
     @property
     def law(self) -> Law | None:
         """Current law of the UAVs with its gains; None if the gains are unknown."""

@@ -36,6 +36,11 @@ title="Vehicle to follow and show in the close-up; you can also click it on the 
 <span class="legend-rs"><i class="line limit dashed"></i><em>{LABELS["r_s"]} r<sub>s</sub></em></span>
 <span><i class="line uav thin"></i>{LABELS["r"]} r</span>
 <span><i class="line sight thin"></i>UAV to its UGV</span>
+<span class="team"><i class="line uav guard"></i>guard</span>
+<span class="team"><i class="line uav scout"></i>scout</span>
+<span class="team"><i class="line uav dashed"></i>relief</span>
+<span class="team endurance"><i class="line uav away"></i>away</span>
+<span class="team"><i class="line cell thin"></i>cell of a UAV</span>
 <span class="building-key" hidden><i class="area building"></i>building, height [m] (faint: unknown)</span>
 <span><i class="dot start"></i>start</span><span id="legend-goal"><i class="cross">×</i>goal</span>
 <span><i class="line guess"></i>estimate, 2σ</span><span><i class="dot detection"></i>detections</span>
@@ -92,6 +97,7 @@ def build_page(hub: Hub, controls: BuildControls | None) -> None:
             html(_HEADER, "top")
             html("", "tiles")
             html("", "tiles mission")
+            html("", "tiles team")
             html(_MAP, "card map-card")
             ui.timer(SPACE_PERIOD, SpaceView(hub).show)
             html(_CHARTS, "card charts")

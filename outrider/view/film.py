@@ -233,7 +233,6 @@ class Film:
                 None,
                 escorts=escorts,
                 vehicles=first.vehicles,
-                teamed=[escort.uav for escort in first.escorts if escort.teamed],
                 ground=self._ground(),
             )
         self._roles = _roles_in(self._truths)

@@ -47,6 +47,12 @@ def geometry_of(scenario: Scenario, buildings: tuple[Building, ...] = ()) -> Geo
         buildings=buildings,
         camera=scenario.camera if scenario.has_altitude else None,
         marker_heights=_markers(scenario),
+        teams=teams_of(scenario),
+        endurances={
+            uav.name: uav.endurance
+            for uav in scenario.uav
+            if scenario.team is not None and uav.endurance is not None
+        },
     )
 
 

@@ -5,7 +5,7 @@ Foxglove view, the terminal and the page. Values that change with time (position
 passed to the drawing code.
 """
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from bus.messages.buildings import Building, Camera
@@ -96,7 +96,6 @@ def observed_scene(
     *,
     escorts: Mapping[str, str],
     vehicles: Iterable[str],
-    teamed: Collection[str] = (),
     ground: Point = (40.0, 40.0),
 ) -> Scene:
     """Return the scene for an observer, who does not know the scenario.
@@ -106,17 +105,11 @@ def observed_scene(
         geometry: Geometry from the simulator; None: draw no circles.
         escorts: Escorted UGV of each UAV.
         vehicles: Names of all vehicles.
-        teamed: UAVs that form a team with the others of their UGV.
         ground: Width and height of the ground without a geometry [m].
     """
     ugvs = sorted(set(vehicles) - set(escorts))
-    teams = tuple(
-        team
-        for ugv in ugvs
-        if (team := tuple(uav for uav in sorted(teamed) if escorts.get(uav) == ugv))
-    )
     if geometry is None:
-        return assembled(title, ground, escorts, ugvs, teams=teams)
+        return assembled(title, ground, escorts, ugvs)
     r_v, r_s = geometry.visibility_radius, geometry.switching_radius
     return assembled(
         title,
@@ -131,7 +124,7 @@ def observed_scene(
             camera=geometry.camera,
             markers=geometry.marker_heights,
         ),
-        teams=teams,
+        teams=geometry.teams,
     )
 
 

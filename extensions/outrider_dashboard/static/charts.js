@@ -1,6 +1,7 @@
 // Charts over simulated time: one row of the table each, with a common time axis and cursor.
 
 import { FONT, colorOf, fit, ticks, write } from "./canvas.js";
+import { lookOf, roleOfCode } from "./team.js";
 
 const LINE = 14; // line height of the values at the cursor [px]
 
@@ -12,8 +13,10 @@ export const CHARTS = [
   { id: "factor", label: "Real-time factor [×]", column: -1, time: true },
 ];
 
-// Columns of a row for each escort; from the fifth on: share of lost detections, 1 during a blackout, radius of sight.
-export const PER_ESCORT = 7;
+// Columns of a row for each escort; from the fifth on: share of lost detections, 1 during a blackout, radius of sight,
+// code of the role in a team.
+export const PER_ESCORT = 8;
+export const ROLE = 7;
 const [LOST, BLACKOUT, SIGHT] = [4, 5, 6];
 
 export class Charts {
@@ -53,6 +56,7 @@ export class Charts {
     const offset = 2 + 2 * vehicles.length + chart.column;
     return escorts.map(([uav], k) => ({
       at: offset + PER_ESCORT * k,
+      role: offset + PER_ESCORT * k + ROLE - chart.column,
       color: colorOf(colors.uav, Math.max(0, this.store.uavs.indexOf(uav))),
       name: escorts.length > 1 ? uav : "",
     }));
@@ -128,7 +132,7 @@ export class Charts {
       const below = innerRadius ? Y(innerRadius) - 12 : height;
       write(c, "r_v", left + w + 5, newest > innerRadius ? Math.min(Y(newest), below) : Y(newest));
     }
-    for (const { at, color } of series) drawLine(c, rows, at, color, X, Y);
+    for (const { at, color, role } of series) drawLine(c, rows, at, color, X, Y, role);
     if (this.cursor !== null) this.drawCursor(c, rows, series, { X, Y, left, w, top, h, start, end });
   }
 
@@ -202,12 +206,21 @@ export class Charts {
   }
 }
 
-function drawLine(c, rows, at, color, X, Y) {
+// Draw a column of the rows; with a column of roles, lighter while the UAV does not guard.
+function drawLine(c, rows, at, color, X, Y, role = -1) {
   c.strokeStyle = color;
   c.lineWidth = 1.5;
   c.beginPath();
   let down = false;
-  for (const row of rows) {
+  const opacityOf = (row) => lookOf(roleOfCode(row[role])).opacity;
+  for (const [k, row] of rows.entries()) {
+    const opacity = opacityOf(row);
+    if (down && opacity !== opacityOf(rows[k - 1])) {
+      c.stroke();
+      c.beginPath();
+      c.moveTo(X(rows[k - 1][0]), Y(rows[k - 1][at]));
+    }
+    c.globalAlpha = opacity;
     const value = row[at];
     if (value === null || value === undefined) {
       down = false;
@@ -219,4 +232,5 @@ function drawLine(c, rows, at, color, X, Y) {
     }
   }
   c.stroke();
+  c.globalAlpha = 1;
 }

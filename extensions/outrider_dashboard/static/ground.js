@@ -5,7 +5,9 @@ import { FONT, colorOf, fit, paint, ticks } from "./canvas.js";
 import { CloseUp } from "./close_up.js";
 import { Hazards } from "./hazards.js";
 import { Labels } from "./labels.js";
+import { PER_ESCORT, ROLE } from "./charts.js";
 import { colorOfVehicle } from "./legends.js";
+import { drawCells, lookOf, roleOf, roleOfCode } from "./team.js";
 
 const KEPT_DETECTIONS = 40;
 const CLOSEST = 4; // smallest section of the area shown [m]
@@ -137,6 +139,7 @@ export class Ground {
       c.drawImage(this.image, view.X(0), view.Y(this.size.height), this.size.width * scale, this.size.height * scale);
     }
     this.hazards.draw(c, view);
+    drawCells(c, view, this.store);
     this.drawTracks(c, view);
     this.drawGoals(c, view);
     this.drawRings(c, view);
@@ -214,18 +217,30 @@ export class Ground {
     }
   }
 
+  // Draw the path of each vehicle, that of a UAV in a team in the looks of its roles.
   drawTracks(c, { X, Y }) {
-    const { rows, vehicles, now, uavs } = this.store;
+    const { rows, vehicles, escorts, now, uavs } = this.store;
+    const all = now ? [...rows, now] : rows;
     vehicles.forEach((name, k) => {
       const at = 2 + 2 * k;
       c.strokeStyle = this.vehicleColor(name);
-      c.lineWidth = uavs.includes(name) ? 1.4 : 2.2;
-      c.globalAlpha = 0.85;
       c.lineJoin = "round";
-      c.beginPath();
-      for (const row of rows) c.lineTo(X(row[at]), Y(row[at + 1]));
-      if (now) c.lineTo(X(now[at]), Y(now[at + 1]));
-      c.stroke();
+      const escort = escorts.findIndex(([uav]) => uav === name);
+      const column = escort < 0 ? -1 : 2 + 2 * vehicles.length + PER_ESCORT * escort + ROLE;
+      for (let start = 0; start < all.length; ) {
+        const code = all[start][column];
+        let end = start + 1;
+        while (end < all.length && all[end][column] === code) end += 1;
+        const look = lookOf(roleOfCode(code));
+        c.lineWidth = look.width * (uavs.includes(name) ? 1.4 : 2.2);
+        c.globalAlpha = 0.85 * look.opacity;
+        c.setLineDash(look.dashes);
+        c.beginPath();
+        for (const row of all.slice(start, end + 1)) c.lineTo(X(row[at]), Y(row[at + 1]));
+        c.stroke();
+        start = end;
+      }
+      c.setLineDash([]);
       c.globalAlpha = 1;
       if (rows.length) this.mark(c, X(rows[0][at]), Y(rows[0][at + 1]), 3, name, true);
     });
@@ -291,16 +306,24 @@ export class Ground {
     this.labels.draw(c, marks.filter((one) => !hidden(one)), frame, taken, { ink: colors.ink, halo: colors.halo });
   }
 
+  // Draw a vehicle; in a team a guard is full, and the others are lighter.
   mark(c, x, y, size, name, hollow) {
     const color = this.vehicleColor(name);
     const { paper } = this.store.colors;
-    c.fillStyle = hollow ? paper : color;
-    c.strokeStyle = hollow ? color : paper;
+    const light = !hollow && lookOf(roleOf(this.store, name)).opacity < 1;
+    c.fillStyle = hollow || light ? paper : color;
+    c.strokeStyle = hollow || light ? color : paper;
     c.lineWidth = 1.5;
     c.beginPath();
     if (this.store.uavs.includes(name)) c.arc(x, y, size, 0, 2 * Math.PI);
     else c.rect(x - size * 0.9, y - size * 0.9, size * 1.8, size * 1.8);
     c.fill();
+    if (light) {
+      c.globalAlpha = 0.3;
+      c.fillStyle = color;
+      c.fill();
+      c.globalAlpha = 1;
+    }
     c.stroke();
   }
 

@@ -11,6 +11,7 @@ import { useMetrics } from "./metrics.js";
 import { canAct, showState } from "./panels.js";
 import { Teleoperation } from "./teleoperation.js";
 import { isDark, watchTheme } from "./theme.js";
+import { TeamTiles } from "./team.js";
 import { buildTiles, showTiles, showWarnings } from "./tiles.js";
 
 const CHART_PERIOD = 150;
@@ -125,6 +126,7 @@ whenBuilt(() => {
         charts.draw();
       }
       showTiles(store);
+      team.show();
       times = [...times, ...frames.map(() => time)].filter((t) => time - t < 2000);
       stats.rate = times.length / 2;
       if (!frames.length) return;
@@ -165,6 +167,7 @@ whenBuilt(() => {
     link.send({ kind: "take", vehicle });
     return true;
   };
+  const team = new TeamTiles(store, link.send);
   const teleoperation = new Teleoperation(link.send, takeControl);
   const tools = new MapTools(ground, store, () => {
     ask();

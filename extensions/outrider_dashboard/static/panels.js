@@ -171,7 +171,7 @@ function rejectedLink({ rejections, changes, tick }) {
   return accepted && accepted.tick > found.tick ? "" : `Rejected: ${found.reason}`;
 }
 
-function describe({ action, ticks, factor, seed, law, vehicle, driver, link, settings }, linkText, at) {
+function describe({ action, ticks, factor, seed, law, vehicle, driver, link, settings, request }, linkText, at) {
   const planned = ((settings && settings.blackouts) || []).filter(([start, length]) => start + length > at);
   const texts = {
     step: () => `step ${ticks || 1}`,
@@ -179,6 +179,7 @@ function describe({ action, ticks, factor, seed, law, vehicle, driver, link, set
     reset: () => (known(seed) ? `reset, seed ${seed}` : "reset"),
     law: () => `law ${law ? law.name : ""}`,
     driver: () => `${vehicle || "UGVs"}: driver ${driver}`,
+    request: () => `${vehicle}: ${request === "GUARD" ? "called to guard" : "relief requested"}`,
     link: () => `${vehicle || "every"}/${link}: ${linkText}${planned.length ? `, blackout of ${planned.pop()[1]} s` : ""}`,
   };
   return (texts[action] || (() => action))();

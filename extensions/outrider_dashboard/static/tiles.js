@@ -34,14 +34,6 @@ function decisivePairs(escorts, truth, distances) {
   return all.some(isInTeam) ? all.filter(nearest) : all;
 }
 
-// Return the role of each UAV in a team, a line each.
-function rolesOf(status) {
-  if (!status || !status.team) return [];
-  const { charges, numbers } = status.team;
-  const left = (uav) => (known(charges[uav]) ? `, ${charges[uav].toFixed(0)} s left` : "");
-  return Object.entries(status.roles).map(([uav, role]) => `${uav}: ${role.toLowerCase()}, number ${numbers[uav] || "none"}${left(uav)}`);
-}
-
 // Return the state of the certificates and the reasons of those that are missing.
 function certificateOf(truth) {
   const reported = (truth ? truth.escorts : []).filter(({ report }) => report && report.decision);
@@ -63,7 +55,7 @@ export function showTiles({ now, vehicles, escorts: every, geometry, status, tru
   showMission(status);
   if (!now) return;
   const ofEvery = (which) => every.map((_, k) => now[2 + 2 * vehicles.length + PER_ESCORT * k + which]);
-  const decisive = decisivePairs(every, truth, ofEvery(0)), roles = rolesOf(status);
+  const decisive = decisivePairs(every, truth, ofEvery(0));
   const escorts = decisive.map((k) => every[k]), several = every.length > 1;
   const column = (which) => decisive.map((k) => ofEvery(which)[k]);
   const showWorst = (name, values, { text = "", unsure = [], instead = null } = {}) => {
@@ -74,7 +66,7 @@ export function showTiles({ now, vehicles, escorts: every, geometry, status, tru
     const each = several ? values.map((value, k) => `${escorts[k].join(" and ")}: ${textOf(row, value)}`) : [];
     const note = !several ? "" : [unsure.length ? "" : pair, text].filter(Boolean).join(" · ");
     const bad = name === "margin" && worst !== null && worst <= 0;
-    show(row, worst, { text: instead, unit: text && !several ? `${row.unit} · ${text}` : row.unit, note, bad, which: OF_SEVERAL[row.total], more: [...each, ...unsure, ...roles] });
+    show(row, worst, { text: instead, unit: text && !several ? `${row.unit} · ${text}` : row.unit, note, bad, which: OF_SEVERAL[row.total], more: [...each, ...unsure] });
   };
   const { text, reasons } = certificateOf(truth);
   const sight = (k) => truth && truth.escorts[decisive[k]] && truth.escorts[decisive[k]].sight_radius;
