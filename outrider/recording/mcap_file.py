@@ -13,6 +13,7 @@ import msgspec
 
 from bus.messages.base import Message
 from bus.messages.ground import GroundMap
+from bus.messages.team import Role
 from bus.messages.telemetry import CoverageMap, Status, Truth
 from bus.messages.vehicle import Teleoperation
 from bus.plugins import needs
@@ -108,6 +109,7 @@ class RecordingFile:
         self._base = self._last = 0
         self._r_v = math.inf
         self._lost: set[str] = set()
+        self._roles: dict[str, Role] = {}
         self._hazards_written = False
 
     def _add(self, topic: schemas.Topic) -> None:
@@ -119,7 +121,7 @@ class RecordingFile:
         """Start a flight and write its head to the file at once."""
         self._base = round(head.start * 1e9)
         self._r_v = scenario.visibility.radius if scenario is not None else math.inf
-        self._lost = set()
+        self._lost, self._roles = set(), {}
         self._hazards_written = False
         self._viewers.begin(scenario)
         if scenario is not None:
@@ -163,11 +165,14 @@ class RecordingFile:
             self._show(message, time_ns)
         elif isinstance(message, CoverageMap):
             self._viewers.coverage(message, time_ns)
-        elif isinstance(message, Status) and message.geometry is not None:
-            self._viewers.buildings(message.geometry.buildings)
+        elif isinstance(message, Status):
+            for uav, state in schemas.team_states(message):
+                self._put(schemas.team_topic(uav), state, seconds)
+            if message.geometry is not None:
+                self._viewers.buildings(message.geometry.buildings)
 
     def _show(self, truth: Truth, time_ns: int) -> None:
-        """Write a tick for viewers, and log when a UAV loses sight of its UGV and when it sees it again."""
+        """Write a tick for viewers, and log changes of role, and when a UGV is out of sight and in sight again."""
         if self._viewers.due(truth.time):
             places = {
                 name: (*one.position, *one.velocity, _number(one.altitude))
@@ -175,6 +180,11 @@ class RecordingFile:
             }
             escorts = {escort.uav: escort.ugv for escort in truth.escorts}
             self._viewers.show(truth.time, places, escorts, time_ns)
+        for escort in truth.escorts:
+            role = None if escort.report is None else escort.report.role
+            if role is not None and role is not self._roles.get(escort.uav):
+                self._roles[escort.uav] = role
+                self.log(f"{escort.uav}: {role.lower()}", truth.time)
         for escort in decisive(truth.escorts):
             sight, whose = sight_of(escort, self._r_v), escort.ugv if escort.teamed else escort.uav
             if sight.lost != (whose in self._lost):

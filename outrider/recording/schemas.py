@@ -6,6 +6,7 @@ flights in order, each with its own head.
 
 import copy
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Annotated, Any
@@ -17,6 +18,7 @@ from bus.errors import ScenarioError
 from bus.messages.base import Message, Name, NonNegative, Seed, Text, Tick, Vector
 from bus.messages.control import Change
 from bus.messages.ground import GroundMap
+from bus.messages.team import Role
 from bus.messages.telemetry import CoverageMap, Status, Truth
 from bus.messages.vehicle import Teleoperation
 from sim.input.overrides import apply_override
@@ -87,6 +89,26 @@ class OperatorCommand(Teleoperation, frozen=True, kw_only=True):
     tick: Tick
 
 
+class TeamState(Message, frozen=True, kw_only=True):
+    """State of a UAV in its team, for viewers."""
+
+    tick: Tick
+    role: Role | None = None
+    """Role; None: none reported yet."""
+    number: Tick
+    """Stored number; 0: it has never guarded."""
+    charge: NonNegative | None = None
+    """Flight time left [s]; None: unlimited."""
+
+
+def team_states(status: Status) -> Iterator[tuple[str, TeamState]]:
+    """Yield each UAV in a team with its state."""
+    if status.team is not None:
+        for uav, number in status.team.numbers.items():
+            role, charge = status.roles.get(uav), status.team.charges.get(uav)
+            yield uav, TeamState(tick=status.tick, role=role, number=number, charge=charge)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Topic:
     """Channel with Outrider's messages."""
@@ -103,7 +125,7 @@ COVERAGE = Topic(name="/coverage", message=CoverageMap)
 TOPICS = (SCENARIO, TRUTH, COMMANDS, STATUS, COVERAGE)
 """Channels of every recording."""
 CHANGES = Topic(name="/changes", message=Change)
-"""Operators' changes of law and driver, with their ticks; in an observer's recording also changes of the clock."""
+"""Operators' changes and requests, with their ticks; in an observer's recording also changes of the clock."""
 GROUND = Topic(name="/ground", message=GroundMap)
 """Ground map with hazards, if the scenario has hazards."""
 _OPERATOR = "operator"
@@ -112,6 +134,11 @@ _OPERATOR = "operator"
 def operator_topic(ugv: str) -> Topic:
     """Return the channel of the operators' commands to a UGV."""
     return Topic(name=f"/{ugv}/{_OPERATOR}", message=OperatorCommand)
+
+
+def team_topic(uav: str) -> Topic:
+    """Return the channel with the role, number and charge of a UAV in a team."""
+    return Topic(name=f"/{uav}/team", message=TeamState)
 
 
 def ugv_of(topic: str) -> str | None:

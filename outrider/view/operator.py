@@ -1,6 +1,7 @@
 """Client of a run, shared by terminal and page: reads the simulator's messages and sends the operator's."""
 
 import contextlib
+import math
 import queue
 import secrets
 import threading
@@ -13,6 +14,7 @@ from bus.errors import BusError
 from bus.messages.base import Message, Vector
 from bus.messages.control import Action, Control
 from bus.messages.ground import GroundMap
+from bus.messages.team import Request, Role
 from bus.messages.telemetry import CoverageMap, Status, Truth
 from bus.messages.vehicle import Teleoperation
 from bus.presence import Presence
@@ -142,6 +144,26 @@ class RunClient:
         with contextlib.suppress(queue.Full):
             self._unsent.put_nowait(None)
             self._sender.join(1.0)
+
+
+def request_of(status: Status | None, ugv: str, request: Request) -> Control | None:
+    """Return the control that calls or relieves a UAV of a UGV's team; None: no UAV can follow.
+
+    RELIEF goes to the guard with the smallest number, GUARD to the scout with the largest charge.
+    """
+    if status is None or status.team is None or status.geometry is None:
+        return None
+    numbers, charges = status.team.numbers, status.team.charges
+    team = [uav for uav, its in status.geometry.uavs.items() if its == ugv and uav in numbers]
+    wanted = Role.GUARD if request is Request.RELIEF else Role.SCOUT
+    found = [uav for uav in sorted(team) if status.roles.get(uav) is wanted]
+    if not found:
+        return None
+    if request is Request.RELIEF:
+        uav = min(found, key=lambda name: numbers[name])
+    else:
+        uav = max(found, key=lambda name: charges.get(name, math.inf))
+    return Control(action=Action.REQUEST, vehicle=uav, request=request)
 
 
 class Helm:

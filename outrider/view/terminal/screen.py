@@ -12,6 +12,7 @@ from textual.strip import Strip
 from textual.widget import Widget
 from textual.widgets import Static
 
+from bus.messages.team import Request
 from outrider.view.terminal.canvas import Canvas
 from outrider.view.terminal.palette import BACKGROUND, FAINT, INK, PANEL
 from outrider.view.terminal.panel import WIDTH, ErrorCurve, banner, farthest, numbers, title
@@ -73,6 +74,8 @@ class DriveApp(App[int]):
         Binding("minus", "faster(-1)", show=False),
         Binding("h,H", "hand_back", show=False),
         Binding("z,Z", "zoom", show=False),
+        Binding("r,R", "request('RELIEF')", show=False),
+        Binding("c,C", "request('GUARD')", show=False),
         Binding("q,Q,ctrl+q", "leave(0)", show=False, priority=True),
         Binding("ctrl+c", "leave(130)", show=False, priority=True),
     ]
@@ -158,6 +161,10 @@ class DriveApp(App[int]):
         """Return control to the previous driver."""
         self._link.hand_back()
 
+    def action_request(self, name: str) -> None:
+        """Call or relieve a UAV of the UGV's team."""
+        self._link.request(Request[name])
+
     def action_zoom(self) -> None:
         """Toggle between the whole area and the UGV's surroundings."""
         self._wide = not self._wide
@@ -169,6 +176,10 @@ class DriveApp(App[int]):
         self._link.leave()
 
 
+def _has_team(view: DriveView) -> bool:
+    return view.status is not None and view.status.team is not None
+
+
 def _keys(view: DriveView, width: int) -> Text:
     """Return the list of keys, wrapped to the width of the screen."""
     keys = (
@@ -177,6 +188,7 @@ def _keys(view: DriveView, width: int) -> Text:
         ("+-", f"{view.speed:.2f} m/s"),
         ("h", "return control"),
         ("z", "zoom"),
+        *((("r", "relieve the guard"), ("c", "call a scout")) if _has_team(view) else ()),
         ("q", "quit"),
     )
     text, used = Text(), 0

@@ -7,10 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bus.messages.ground import GroundMap
+from bus.messages.team import Request
 from bus.messages.telemetry import CoverageMap, Status, Truth
 from bus.registry import TELEOP
 from bus.session import Session
-from outrider.view.operator import Helm, RunClient
+from outrider.view.operator import Helm, RunClient, request_of
 from outrider.view.terminal.pressed_keys import FIRST, REPEAT, Heading, PressedKeys
 from sim.scene.model import Scene, observed_scene
 
@@ -151,6 +152,12 @@ class DriveLink:
     def hand_back(self) -> None:
         """Return control to the previous driver."""
         self._do(self._return)
+
+    def request(self, request: Request) -> None:
+        """Call or relieve a UAV of the UGV's team, see `request_of`."""
+        control = request_of(self._client.status, self.vehicle, request)
+        if control is not None:
+            self._client.control(control)
 
     def farewell(self) -> str:
         """Describe in one line which driver controls the UGV at the end."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from bus.messages.ground import GroundMap
+from bus.messages.team import Role
 from bus.messages.telemetry import CoverageMap, Truth
 from outrider.view.terminal.canvas import Canvas
 from outrider.view.terminal.palette import (
@@ -24,6 +25,7 @@ from outrider.view.terminal.palette import (
 from outrider.view.terminal.teleoperation import DriveView
 from sim.scene.ground_map import HIT
 from sim.scene.model import Scene
+from sim.scene.team import team_cells
 
 _SHOWN = 1.35
 """Half the size of the map around the UGV [r_v]."""
@@ -100,12 +102,14 @@ def draw(
     coverage = view.coverage
     if coverage is not None and len(coverage.cells) == coverage.rows * coverage.columns:
         _paint_grid(canvas, window, coverage, coverage.cell, coverage.cells, _COVERED)
+    _paint_cells(canvas, window, scene, truth)
     _paint_area(canvas, window, scene)
     has_hazards = view.status is not None and view.status.mission is not None
     hazards = view.ground if has_hazards else None
     if hazards is not None:
         _paint_grid(canvas, window, hazards, hazards.tile, hazards.tiles, TILES)
         _paint_hazards(canvas, window, hazards)
+    roles = {} if view.status is None else view.status.roles
     flies = {one.name: one.flies for one in scene.vehicles}
     for name, trail in trails.points.items():
         for point in trail:
@@ -123,6 +127,8 @@ def draw(
             canvas.letter(*window.dot(goal), "×", UGV[0])
     for one in sorted(scene.vehicles, key=lambda one: (one.flies, one.name == vehicle)):
         mark, color = ("▲", UAV[0]) if one.flies else ("■", UGV[0])
+        if roles.get(one.name, Role.GUARD) is not Role.GUARD:
+            mark = "△"
         if one.name in truth.vehicles:
             canvas.letter(*window.dot(truth.vehicles[one.name].position), mark, color)
     if view.wanted is not None:
@@ -195,6 +201,16 @@ def _paint_area(canvas: Canvas, window: _Window, scene: Scene) -> None:
     corners = ((0.0, 0.0), (width, 0.0), (width, height), (0.0, height))
     for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
         canvas.line(*window.dot(start), *window.dot(end), FAINT)
+
+
+def _paint_cells(canvas: Canvas, window: _Window, scene: Scene, truth: Truth) -> None:
+    """Draw the borders between the cells of each team."""
+    for team in scene.teams:
+        positions = [truth.vehicles[name].position for name in team if name in truth.vehicles]
+        for cell in team_cells(positions, scene.width, scene.height):
+            corners = [window.dot(corner) for corner in cell]
+            for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
+                canvas.line(*start, *end, EDGE)
 
 
 _ARROWS = "→↗↑↖←↙↓↘"
