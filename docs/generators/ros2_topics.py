@@ -4,7 +4,13 @@ from structs import cell
 
 from outrider_ros2.topics import PILOT_COMMANDS, PILOT_TOPICS, TOPICS, Each, TopicRow
 
-_BEFORE = {Each.RUN: "", Each.VEHICLE: "<vehicle>/", Each.UAV: "<uav>/", Each.UGV: "<ugv>/"}
+_BEFORE = {
+    Each.RUN: "",
+    Each.VEHICLE: "<vehicle>/",
+    Each.UAV: "<uav>/",
+    Each.UGV: "<ugv>/",
+    Each.TEAM_UAV: "<uav>/",
+}
 
 
 def _table(rows: tuple[TopicRow, ...]) -> str:

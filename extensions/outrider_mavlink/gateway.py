@@ -42,6 +42,7 @@ RATES: Mapping[int, float] = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 10.0,
     mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET: 5.0,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 1.0,
 }
 """Default rate of each message of a system, by message number [1/s of wall time]."""
 

@@ -9,8 +9,10 @@ from typing import NamedTuple
 
 from bus.messages.base import Covariance, Vector
 from bus.messages.scenario import Origin
+from bus.messages.team import Role
 from outrider_mavlink.dialect import MavMessage, mavlink
 from outrider_mavlink.geodesy import geodetic
+from sim.compiling.records import code
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 _MIN_COURSE_SPEED = 0.01
@@ -18,6 +20,10 @@ _MIN_COURSE_SPEED = 0.01
 _CHUNK = 50
 """Number of text bytes in one message."""
 _BOOT = 1 << 32
+_LARGEST = 2**31 - 1
+"""Largest named value."""
+_NO_CELL, _NO_TEMPERATURE = 65_535, 32_767
+"""Values of an unknown voltage and temperature."""
 _WORST, _NOTE = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_NOTICE
 
 
@@ -83,6 +89,19 @@ def status_texts(text: str, number: int, *, warns: bool) -> Iterator[MavMessage]
         yield mavlink.MAVLink_statustext_message(severity, part, number, chunk)
 
 
+class TeamState(NamedTuple):
+    """State of a UAV in its team."""
+
+    role: Role | None = None
+    """Its role; None: unknown."""
+    number: int = 0
+    """Its stored number; 0: it has never guarded."""
+    charge: float | None = None
+    """Flight time left [s]; None: unlimited."""
+    endurance: float | None = None
+    """Flight time with a full charge [s]; None: unlimited."""
+
+
 class VehicleSystem:
     """MAVLink system of a vehicle.
 
@@ -112,6 +131,8 @@ class VehicleSystem:
         self.followed: Moving | None = None
         """Target in `FOLLOW_TARGET`: a UGV itself, or a UAV's estimate of its UGV."""
         self.origin = origin
+        self.team: TeamState | None = None
+        """State in its team; None: it has none."""
         self._flat_height = height if flies else 0.0
         self._heading = 0.0  # [rad], from north over east
         self.capabilities = 0
@@ -132,6 +153,9 @@ class VehicleSystem:
             mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET: self._follow_target,
             mavlink.MAVLINK_MSG_ID_HOME_POSITION: self._home,
         }
+        self._in_team: dict[int, Callable[[TeamState], MavMessage | None]] = {
+            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: self._battery,
+        }
 
     def move(self, moving: Moving) -> None:
         """Update the motion of the vehicle."""
@@ -144,17 +168,47 @@ class VehicleSystem:
         """Return the message with this number; None if it is unsupported or its content still unknown."""
         if number in self._always:
             return self._always[number]()
+        in_team = self._in_team.get(number)
+        if in_team is not None:
+            return None if self.team is None else in_team(self.team)
         builder = self._once_known.get(number)
         return None if builder is None or self.moving is None else builder(self.moving)
 
     def knows(self, number: int) -> bool:
         """Return True if the message with this number is supported."""
-        return number in self._always or number in self._once_known
+        return number in self._always or number in self._once_known or number in self._in_team
 
     def texts(self, text: str, *, warns: bool) -> Iterator[MavMessage]:
         """Yield the STATUSTEXT messages of a text."""
         self._texts = self._texts % 65_535 + 1
         return status_texts(text, self._texts, warns=warns)
+
+    def values(self) -> Iterator[MavMessage]:
+        """Yield role and number of a UAV in a team as named values: `ROLE`, from 1 as in `Role`, and `NUMBER`."""
+        if self.team is None or self.moving is None:
+            return
+        role = 0 if self.team.role is None else code(self.team.role)
+        for name, value in ((b"ROLE", role), (b"NUMBER", min(self.team.number, _LARGEST))):
+            yield mavlink.MAVLink_named_value_int_message(self._boot(self.moving), name, value)
+
+    def _battery(self, team: TeamState) -> MavMessage | None:
+        """Return the charge; None: the flight time is unlimited."""
+        if team.charge is None or team.endurance is None:
+            return None
+        unknown = [_NO_CELL] * 10
+        return mavlink.MAVLink_battery_status_message(
+            0,
+            mavlink.MAV_BATTERY_FUNCTION_ALL,
+            mavlink.MAV_BATTERY_TYPE_UNKNOWN,
+            _NO_TEMPERATURE,
+            unknown,
+            -1,
+            -1,
+            -1,
+            round(100.0 * team.charge / team.endurance),
+            round(team.charge),
+            mavlink.MAV_BATTERY_CHARGE_STATE_OK,
+        )
 
     def _heartbeat(self) -> MavMessage:
         flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_SAFETY_ARMED

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from bus.messages.base import Message, Vector
 from bus.messages.control import Action, Control
 from bus.messages.scenario import Law, Limits
-from bus.messages.telemetry import Status, Truth
+from bus.messages.telemetry import Status, TeamStatus, Truth
 from bus.numbers import above, exact
 from bus.registry import LAWS, TELEOP
 from outrider.view.operator import Helm, RunClient
@@ -21,7 +21,7 @@ from outrider_mavlink.gateway import (
     Gateway,
     Numbers,
 )
-from outrider_mavlink.identity import MANUAL, MISSION, Moving, VehicleSystem
+from outrider_mavlink.identity import MANUAL, MISSION, Moving, TeamState, VehicleSystem
 from outrider_mavlink.udp import Network, Peer
 from sim.scene.altitude import decisive, sight_of
 
@@ -93,7 +93,8 @@ class RunGateway(Gateway):
                 system.followed = None if system.flies else moving
         geometry = self._status.geometry
         radius = math.inf if geometry is None else geometry.visibility_radius
-        for escort in decisive(truth.escorts):
+        deciding = {escort.uav for escort in decisive(truth.escorts)}
+        for escort in truth.escorts:
             ugv, sight = escort.ugv, sight_of(escort, radius)
             why = (
                 "hidden by a building"
@@ -103,7 +104,7 @@ class RunGateway(Gateway):
             self._report_problem(
                 escort.uav,
                 "visibility",
-                wrong=sight.lost,
+                wrong=sight.lost and escort.uav in deciding,
                 worse=f"{ugv} is {why}",
                 better=f"{ugv} is in sight again",
             )
@@ -125,12 +126,28 @@ class RunGateway(Gateway):
             self._report_problem(
                 name, "filter", wrong=not certified, worse=worse, better="certified again"
             )
+        if status.team is not None:
+            self._update_team(status, status.team)
         for name, driver in status.drivers.items():
             if name in self._named:
                 self._named[name].mode = MANUAL if driver == TELEOP else MISSION
         for one in [one for one in status.rejections if one not in self._rejections]:
             self._say_to_all(one.text)
         self._rejections = status.rejections
+
+    def _update_team(self, status: Status, team: TeamStatus) -> None:
+        """Update the UAVs of teams: send role and number, and a text for each change of role."""
+        endurances = {} if status.geometry is None else status.geometry.endurances
+        for name, number in team.numbers.items():
+            system = self._named.get(name)
+            if system is None:
+                continue
+            role, before = status.roles.get(name), system.team
+            system.team = TeamState(role, number, team.charges.get(name), endurances.get(name))
+            if role is not None and before is not None and before.role not in (None, role):
+                self.say(system, f"{name}: {role.lower()}")
+            for message in system.values():
+                self.send(system, message)
 
     def _report_problem(
         self, name: str, kind: str, *, wrong: bool, worse: str, better: str

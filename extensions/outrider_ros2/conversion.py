@@ -12,7 +12,7 @@ import numpy as np
 
 from bus.errors import ScenarioError
 from bus.messages.base import Vector
-from bus.messages.telemetry import EscortTruth, Truth
+from bus.messages.telemetry import EscortTruth, Status, Truth
 from outrider_ros2.interfaces import RosMessage, make
 from outrider_ros2.places import Vector3, place_of
 from outrider_ros2.run_view import PathTrack, RunView
@@ -222,6 +222,43 @@ def distance(truth: Truth, uav: str) -> RosMessage:
     """Return the true distance |p_a - p_g| between a UAV and its UGV [m]; None if it escorts no UGV."""
     escort = escort_of(truth, uav)
     return None if escort is None else make("std_msgs/msg/Float64", data=escort.distance)
+
+
+def role(status: Status, uav: str) -> RosMessage:
+    """Return the role of a UAV in its team; None if it has reported none."""
+    found = status.roles.get(uav)
+    return None if found is None else make("std_msgs/msg/String", data=found.value)
+
+
+def number(status: Status, uav: str) -> RosMessage:
+    """Return the stored number of a UAV in its team; None without a team."""
+    found = None if status.team is None else status.team.numbers.get(uav)
+    return None if found is None else make("std_msgs/msg/UInt64", data=found)
+
+
+def battery(status: Status, uav: str) -> RosMessage:
+    """Return the charge of a UAV as a share of its endurance; None for an unlimited flight time."""
+    charge = None if status.team is None else status.team.charges.get(uav)
+    endurance = None if status.geometry is None else status.geometry.endurances.get(uav)
+    if charge is None or endurance is None:
+        return None
+    measured = ("voltage", "temperature", "current", "charge", "capacity", "design_capacity")
+    kind = "sensor_msgs/msg/BatteryState"
+    nothing: Any = np.zeros(0, dtype=np.float32)
+    return make(
+        kind,
+        header=header(status.time, base_link(uav)),
+        **dict.fromkeys(measured, math.nan),
+        percentage=charge / endurance,
+        power_supply_status=0,
+        power_supply_health=0,
+        power_supply_technology=0,
+        present=True,
+        cell_voltage=nothing,
+        cell_temperature=nothing,
+        location="",
+        serial_number="",
+    )
 
 
 def coverage_error(truth: Truth, uav: str) -> RosMessage:

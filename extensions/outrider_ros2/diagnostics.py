@@ -112,6 +112,19 @@ def diagnostics(status: Status, own: Iterable[RosMessage] = ()) -> RosMessage:
         )
         for name, certified in status.certified.items()
     ]
+    if status.team is not None:
+        counts = msgspec.structs.asdict(status.team)
+        members = {name: counts.pop(name) for name in ("charges", "numbers")}
+        broken = status.team.team_certified_while_lost or status.team.team_certificate_broken
+        found.append(diagnostic("team", counts, level=ERROR if broken else OK))
+        found += [
+            diagnostic(
+                f"team member {name}",
+                {"role": role.value}
+                | {key: values[name] for key, values in members.items() if name in values},
+            )
+            for name, role in status.roles.items()
+        ]
     if status.mission is not None:
         mission, hits = msgspec.structs.asdict(status.mission), status.mission.hazards_hit
         of_ugvs = mission.pop("guarantees")

@@ -18,12 +18,17 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from bus.keys import Grant, Party, Role
+from bus.messages.team import Request
 from bus.roles import Roles
 
 PILOT = "pilot"
 """Second part of a vehicle's private topics, such as `/uav_0/pilot/odom`."""
 CMD_VEL = "cmd_vel"
-SERVICES = ("pause", "step", "reset")
+RUN_SERVICES = ("pause", "step", "reset")
+"""Services for the whole run."""
+REQUESTS = {"call": Request.GUARD, "relieve": Request.RELIEF}
+"""Services of each UAV in a team, such as `/uav_0/relieve`, and the request that they send."""
+SERVICES = (*RUN_SERVICES, *REQUESTS)
 """Services that an operator's nodes may call."""
 
 BRIDGE = "ros2"

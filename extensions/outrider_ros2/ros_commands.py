@@ -6,7 +6,7 @@ A UGV has no heading: `linear.x` is its velocity east and `linear.y` north, both
 import math
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 from bus.messages.base import Vector
@@ -28,7 +28,7 @@ from outrider_ros2.interfaces import (
     request_of,
     response_of,
 )
-from outrider_ros2.roles import CALLS, CMD_VEL, SERVICES, VELOCITIES
+from outrider_ros2.roles import CALLS, CMD_VEL, REQUESTS, RUN_SERVICES, SERVICES, VELOCITIES
 from outrider_ros2.ros_node import RosNode
 from outrider_ros2.topics import wire_topic
 from outrider_ros2.wire import NEWEST
@@ -77,22 +77,28 @@ def velocity_command(
     return VelocityCommand(vehicle, _velocity(message, vehicle, ugvs[vehicle]))
 
 
-def service_of(key: str, *, domain: int, namespace: str) -> str:
-    """Return the name of the called service.
+def service_of(
+    key: str, *, domain: int, namespace: str, uavs: Collection[str] = ()
+) -> tuple[str, str]:
+    """Return the UAV and the name of the called service; the UAV is empty for a service of the run.
 
     Args:
         key: Key of the call.
         domain: ROS 2 domain id of the bridge.
         namespace: Prefix of the bridge's service names; empty: none.
+        uavs: UAVs in teams.
 
     Raises:
         Refused: If the bridge has no such service, or its type or hash differs.
     """
     (*space, service), interface, hashed = _parts_of(key, domain)
-    if space != _space(namespace) or service not in _SERVICES:
-        raise Refused("no such service", f"{service}; available: {', '.join(_SERVICES)}")
+    uav = space.pop() if service in REQUESTS and space else ""
+    known = uav in uavs if service in REQUESTS else service in RUN_SERVICES
+    if space != _space(namespace) or not known:
+        offered = [*RUN_SERVICES, *(f"{name}/{one}" for name in sorted(uavs) for one in REQUESTS)]
+        raise Refused("no such service", f"{service}; available: {', '.join(offered)}")
     check_type(interface, hashed, _SERVICES[service])
-    return service
+    return uav, service
 
 
 def _parts_of(key: str, domain: int) -> tuple[list[str], str, str]:
@@ -128,6 +134,13 @@ def _velocity(message: RosMessage, vehicle: str, limits: Limits) -> Vector:
     return float(moves.x), float(moves.y)
 
 
+def _control_of(uav: str, service: str, *, resumes: bool) -> Control:
+    """Return the control that a service sends; `uav`: its UAV, empty for a service of the run."""
+    if service in REQUESTS:
+        return Control(action=Action.REQUEST, vehicle=uav, request=REQUESTS[service])
+    return Control(action=Action.RESUME if resumes else Action(service))
+
+
 class RosCommands:
     """Receiver of velocity commands and service calls from ROS 2 nodes.
 
@@ -156,12 +169,17 @@ class RosCommands:
             node.receive(expression, self._receive)
         for expression in CALLS.keys:
             node.serve(expression, self._serve)
-        for service, interface in _SERVICES.items():
-            node.show_service(wire_topic(interface, f"/{service}", namespace))
+        for service in RUN_SERVICES:
+            node.show_service(wire_topic(_SERVICES[service], f"/{service}", namespace))
 
     def follow(self, status: Status | None) -> None:
-        """Update the drivers from a status, and announce the topics of new UGVs."""
+        """Update the drivers from a status, and announce the topics of new UGVs and the services of new UAVs."""
         self._status = status
+        for uav in self._uavs() - self._shown:
+            self._shown.add(uav)
+            for service in REQUESTS:
+                name = f"/{uav}/{service}"
+                self._node.show_service(wire_topic(_SERVICES[service], name, self._namespace))
         for vehicle in self._ugvs():
             if vehicle not in self._shown:
                 self._shown.add(vehicle)
@@ -174,6 +192,11 @@ class RosCommands:
             return {}
         geometry = self._status.geometry
         return {name: own for name, own in geometry.limits.items() if name not in geometry.uavs}
+
+    def _uavs(self) -> set[str]:
+        """Return the UAVs in teams."""
+        team = None if self._status is None else self._status.team
+        return set() if team is None else set(team.numbers)
 
     def _receive(self, key: str, payload: bytes, sender: bytes) -> None:
         with self._lock:
@@ -208,7 +231,9 @@ class RosCommands:
     def _serve(self, key: str, raw: bytes) -> bytes | None:
         """Return the response to a call; None if the service is unknown or the hash of its type is missing."""
         try:
-            service = service_of(key, domain=self._node.domain, namespace=self._namespace)
+            uav, service = service_of(
+                key, domain=self._node.domain, namespace=self._namespace, uavs=self._uavs()
+            )
         except Refused as refused:
             with self._lock:
                 self._refusals.add(refused)
@@ -221,12 +246,11 @@ class RosCommands:
             with self._lock:
                 self._refusals.add(refused)
             return encode(answer, make(answer, success=False, message=refused.what[:300]))
-        resumes = service == "pause" and not request.data
-        action = Action.RESUME if resumes else Action(service)
-        sent = self._client.control(Control(action=action))
+        control = _control_of(uav, service, resumes=service == "pause" and not request.data)
+        sent = self._client.control(control)
         with self._lock:
             self.accepted += sent
-        text = f"{action.value} at the next tick" if sent else "send queue full"
+        text = f"{control.in_words()} at the next tick" if sent else "send queue full"
         return encode(answer, make(answer, success=sent, message=text))
 
     def hand_back(self) -> None:

@@ -31,6 +31,8 @@ class Each(StrEnum):
     VEHICLE = "vehicle"
     UAV = "uav"
     UGV = "ugv"
+    TEAM_UAV = "team_uav"
+    """UAVs that belong to a team."""
 
 
 Convert = Callable[[RunView, Any, str], Any]
@@ -61,9 +63,11 @@ class TopicRow:
         if self.each is Each.RUN:
             yield "", f"/{self.name}"
             return
+        teamed = {name for team in scene.teams for name in team}
         for vehicle in scene.vehicles:
             kind = Each.UAV if vehicle.flies else Each.UGV
-            if self.each in (Each.VEHICLE, kind):
+            in_team = self.each is Each.TEAM_UAV and vehicle.name in teamed
+            if in_team or self.each in (Each.VEHICLE, kind):
                 yield vehicle.name, f"/{vehicle.name}/{self.name}"
 
 
@@ -149,6 +153,30 @@ TOPICS: tuple[TopicRow, ...] = (
         source=Truth,
         convert=lambda _view, truth, name: conversion.coverage_error(truth, name),
         about="Coverage error e(t), eq. (4), in m².",
+    ),
+    TopicRow(
+        name="role",
+        each=Each.TEAM_UAV,
+        interface="std_msgs/msg/String",
+        source=Status,
+        convert=lambda _view, status, name: conversion.role(status, name),
+        about="Role in the team: SCOUT, RELIEF, GUARD or AWAY.",
+    ),
+    TopicRow(
+        name="number",
+        each=Each.TEAM_UAV,
+        interface="std_msgs/msg/UInt64",
+        source=Status,
+        convert=lambda _view, status, name: conversion.number(status, name),
+        about="Stored number in the team, 0 before the UAV has guarded; the largest ones guard.",
+    ),
+    TopicRow(
+        name="battery",
+        each=Each.TEAM_UAV,
+        interface="sensor_msgs/msg/BatteryState",
+        source=Status,
+        convert=lambda _view, status, name: conversion.battery(status, name),
+        about="Charge as a share of the endurance; nothing for unlimited flight times.",
     ),
     TopicRow(
         name="discs",
