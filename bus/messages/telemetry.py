@@ -266,6 +266,8 @@ class TeamStatus(Message, frozen=True, kw_only=True):
     """Flight time that each UAV with an endurance has left [s]."""
     numbers: dict[Name, Tick] = {}
     """Stored number of each UAV in a team; 0: it has never guarded."""
+    refused_messages: Tick = 0
+    """Messages that the simulator has not sent: wrong sender, tick, number, rate, measurement or request."""
 
 
 class Status(Message, frozen=True, kw_only=True):

@@ -110,4 +110,5 @@ class TeamWatch:
                 name: left for name in members if (left := self._radio.charge(name)) is not None
             },
             numbers={name: self._radio.number(name) for name in members},
+            refused_messages=sum(self._radio.refused[name] for name in members),
         )

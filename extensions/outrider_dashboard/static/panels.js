@@ -46,6 +46,22 @@ function assumptionRows(status) {
   return rows;
 }
 
+// Compare the assumptions T1 to T3 of a team's guarantee with what was observed.
+function teamRows(status) {
+  const { team } = status || {};
+  if (!team) return [];
+  const { refused_messages: refused = 0, left_without_relief: left = 0, team_certificate_broken: broken = 0 } = team;
+  const share = `${percent(team.team_certified_share)} %`;
+  const kept = !broken && !team.team_certified_while_lost;
+  const assumed = "An assumption of the guarantee for a team";
+  return [
+    row("a guard certified", kept ? "good" : "bad", share, kept ? "" : "The guarantee does not hold", "Share of the ticks in which at least one guard of a team was certified"),
+    row("T1 messages", "good", refused ? `${refused} refused` : "as stored", "", `${assumed}: a number that is heard was stored before. The simulator refuses other messages`),
+    row("T2 numbers", broken ? "bad" : "good", broken ? `${broken} ticks broken` : "stored", "", `${assumed}: stored numbers survive the process of a UAV`),
+    row("T3 charge", left ? "bad" : "good", left ? `${left} left exhausted` : "sufficient", "", `${assumed}: A1 to A9 hold for a guard, and its charge is not exhausted before another UAV has taken over`),
+  ];
+}
+
 // Return true if commands of the user can take effect.
 export function canAct({ state, status }) {
   if (!state || state.disconnected) return false;
@@ -88,6 +104,7 @@ export function showState(store, stats, teleoperation) {
       return row(name, vehicle.present ? "good" : "bad", (vehicle.present ? "connected" : "disconnected") + driver, notes, meaning);
     }),
     ...assumptionRows(status),
+    ...teamRows(status),
     row(
       "this page",
       state.disconnected ? "unknown" : "good",

@@ -34,6 +34,7 @@ from page_stage import (
     say,
     wait_until,
 )
+from page_team import check_team
 
 TOKEN = "a-token-for-the-test"  # noqa: S105 - used in this test only
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -585,6 +586,7 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:
             report("a proxy without WebSockets", check_proxy(desktop, port))
             report("a proxy with a path of its own", check_sub_path(browser, door, TOKEN))
             report("three pairs", check_pairs(browser, processes, pictures))
+            report("a team", check_team(browser, processes, pictures))
             report("a dead simulator", check_dead_simulator(third, processes))
             report("doors", check_doors(port, door, processes, refused))
             if complaints:

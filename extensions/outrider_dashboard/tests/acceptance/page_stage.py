@@ -129,12 +129,20 @@ class Processes:
         words = ("--with", f"dashboard:port={port}", "--realtime", "0.5")
         self._launch("replay", "replay", path, *words)
 
-    def run(self, scenario: str, *words: str) -> "subprocess.Popen[bytes]":
-        """Start a whole run with its page, from a scenario with HTML in its name; the log is called `pairs`."""
-        file = self._folder / "pairs <img src='data:,' onerror='window.ran = true'>.toml"
+    def run(self, scenario: str, *words: str, name: str = "pairs") -> "subprocess.Popen[bytes]":
+        """Start a whole run with its page, from a scenario with HTML in its name; the log has this name."""
+        file = self._folder / f"{name} <img src='data:,' onerror='window.ran = true'>.toml"
         file.write_text(scenario)
         page = ("--with", "dashboard:port=0", "--no-files")
-        return self._launch("pairs", "run", str(file), *page, *words)
+        return self._launch(name, "run", str(file), *page, *words)
+
+    def compile(self, scenario: str) -> None:
+        """Fly a scenario for a second, so that the processes of a run in real time do not compile."""
+        file = self._folder / "compiled.toml"
+        file.write_text(scenario)
+        words = ("--in-process", "--no-files", "--duration", "1")
+        if self._launch("compiled", "run", str(file), *words).wait(300.0):
+            raise Failed(f"not flown: {self.log('compiled')}")
 
     def simulator(self, factor: float) -> None:
         """Start a simulator in real time."""
