@@ -5,6 +5,7 @@ import socket
 import struct
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,7 +15,8 @@ from bus.errors import ScenarioError
 from bus.messages.control import Action
 from bus.messages.decision import NotCertified
 from bus.messages.scenario import Origin
-from bus.messages.telemetry import VehicleStatus
+from bus.messages.team import Role
+from bus.messages.telemetry import TeamStatus, VehicleStatus
 from outrider_mavlink.dialect import mavlink
 from outrider_mavlink.gateway import (
     BEYOND_BOUNDS,
@@ -543,3 +545,29 @@ def test_a_private_port_goes_with_no_other_target(command, other):
     refused = command("mavlink", "--private", *other)
     assert refused.returncode == 2
     assert "not both" in refused.stderr
+
+
+def test_role_number_and_charge_of_a_team_are_reported(run):
+    geometry = msgspec.structs.replace(status().geometry, endurances={"uav_0": 300.0})
+    team = TeamStatus(
+        team_certified_share=1.0,
+        team_out_of_sight=0,
+        charges={"uav_0": 75.0},
+        numbers={"uav_0": 31},
+    )
+    teamed = msgspec.structs.replace(
+        status(), geometry=geometry, team=team, roles={"uav_0": Role.GUARD}
+    )
+    run.gateway._timers = RunGateway(
+        run.client, run.gateway.network, status(), first=1, height=10.0
+    )._timers
+    run.gateway.take(truth())
+    run.gateway.take(teamed)
+    run.gateway.take(msgspec.structs.replace(teamed, roles={"uav_0": Role.AWAY}))
+    arrived = run.station.send()
+    named = [(one.name, one.value) for one in select(arrived, "NAMED_VALUE_INT", UAV)]
+    assert named == [("ROLE", 3), ("NUMBER", 31), ("ROLE", 4), ("NUMBER", 31)]
+    assert "uav_0: away" in [one.text for one in select(arrived, "STATUSTEXT", UAV)]
+    (battery,) = select(arrived, "BATTERY_STATUS", UAV)
+    assert (battery.battery_remaining, battery.time_remaining) == (25, 75)
+    assert not select(arrived, "BATTERY_STATUS", UGV)

@@ -18,7 +18,8 @@ from bus.credentials import new_credentials
 from bus.keys import CONTROL, COVERAGE, OPERATOR, SAMPLED_TRUTH, STATUS
 from bus.messages.control import Action, Control
 from bus.messages.scenario import Limits
-from bus.messages.telemetry import CoverageMap
+from bus.messages.team import Request
+from bus.messages.telemetry import CoverageMap, TeamStatus
 from outrider.running.refused import Refused
 from outrider.view.operator import RunClient
 from outrider_ros2.conversion import header
@@ -215,6 +216,7 @@ def _key(name: str = "/ugv_0/cmd_vel", interface: str = TWISTS[1], domain: int =
     return wire_topic(interface, name, "/fleet").key(domain)
 
 
+TEAM = TeamStatus(team_certified_share=1.0, team_out_of_sight=0, numbers={"uav_0": 31})
 UGVS = {"ugv_0": Limits(max_speed=0.2, max_acceleration=0.1)}
 GOOD = encode(TWISTS[1], _twist(0.1, -0.1))
 BAD = {
@@ -310,7 +312,10 @@ def test_operator_node_drives_and_bad_messages_are_counted(tmp_path: Path) -> No
             (pause, "/pause", make(request_of(pause), data=True)),
             (trigger, "/step", nothing),
             (trigger, "/reset", nothing),
+            (trigger, "/uav_0/call", nothing),
+            (trigger, "/uav_0/relieve", nothing),
         )
+        observer.commands.follow(msgspec.structs.replace(STATUS_NOW, team=TEAM))
         for interface, name, wanted in asked:
             payload = encode(request_of(interface), wanted)
             (reply,) = driving.get(
@@ -329,6 +334,14 @@ def test_operator_node_drives_and_bad_messages_are_counted(tmp_path: Path) -> No
                 counted = observer.refusals.counts[cause]
                 assert all(reply.ok is None for reply in driving.get(key, payload=payload))
                 assert observer.refusals.counts[cause] == counted + 1
-        actions = [controls.receive(2.0).message.action for _ in asked]
-        assert actions == [Action.PAUSE, Action.STEP, Action.RESET]
+        sent = [controls.receive(2.0).message for _ in asked]
+        assert [one.action for one in sent[:3]] == [Action.PAUSE, Action.STEP, Action.RESET]
+        assert [(one.vehicle, one.request) for one in sent[3:]] == [
+            ("uav_0", Request.GUARD),
+            ("uav_0", Request.RELIEF),
+        ]
+        other = wire_topic(trigger, "/ugv_0/relieve", "/fleet").key(7)
+        counted = observer.refusals.counts["no such service"]
+        assert all(reply.ok is None for reply in driving.get(other, payload=payload))
+        assert observer.refusals.counts["no such service"] == counted + 1
         client.close()

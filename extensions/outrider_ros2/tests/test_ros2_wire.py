@@ -14,7 +14,8 @@ from bus.messages.buildings import Building
 from bus.messages.decision import NotCertified
 from bus.messages.ground import GroundMap
 from bus.messages.links import LinkStatus
-from bus.messages.telemetry import CoverageMap, VehicleStatus
+from bus.messages.team import Role
+from bus.messages.telemetry import CoverageMap, TeamStatus, VehicleStatus
 from outrider.running.refused import Refused
 from outrider_ros2.conversion import stamp
 from outrider_ros2.interfaces import decode, encode, gid_of, make, type_hash
@@ -32,7 +33,7 @@ from outrider_ros2.wire import (
     check_namespace,
 )
 from sim.scenario.loading import load_scenario
-from sim.scene.known import scene_of
+from sim.scene.known import geometry_of, scene_of
 from stamps import seconds_of
 from statuses import a_status, a_truth, a_vehicle, truth_at
 
@@ -281,3 +282,25 @@ def test_time_is_exact_to_the_nanosecond() -> None:
     """A tick may last a third of a second."""
     time = stamp(100.0 / 3.0)
     assert (time.sec, time.nanosec) == (33, 333_333_333)
+
+
+def test_topics_of_a_team_show_role_number_and_battery() -> None:
+    scenario = load_scenario("relay")
+    scene = scene_of(scenario)
+    status = a_status(
+        roles={"uav_0": Role.GUARD},
+        geometry=geometry_of(scenario),
+        team=TeamStatus(
+            team_certified_share=1.0,
+            team_out_of_sight=0,
+            charges={"uav_0": 75.0},
+            numbers={"uav_0": 31},
+        ),
+    )
+    found = dict(messages_of(RunView(scene=scene, dt=0.05), status))
+    role = decode("std_msgs/msg/String", found["/uav_0/role"])
+    number = decode("std_msgs/msg/UInt64", found["/uav_0/number"])
+    battery = decode("sensor_msgs/msg/BatteryState", found["/uav_0/battery"])
+    assert (role.data, number.data, battery.percentage) == ("GUARD", 31, 0.25)
+    names = {name for row in TOPICS for _, name in row.names(scene_of(load_scenario("escort")))}
+    assert not names & {"/uav_0/role", "/uav_0/number", "/uav_0/battery"}
