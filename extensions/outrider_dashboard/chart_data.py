@@ -5,8 +5,8 @@ from collections import deque
 from collections.abc import Callable
 
 from bus.messages.links import LinkStatus
+from bus.messages.team import Role
 from bus.messages.telemetry import EscortTruth, Status, Truth
-from sim.compiling.records import code
 
 _FIRST_STRIDE = 0.1
 """Initial simulated time between two rows [s]; doubles whenever the history is full."""
@@ -18,6 +18,7 @@ _LOSS_WINDOW = 1.0
 """Minimum simulated time over which the share of lost messages is averaged [s]."""
 
 Row = tuple[float | None, ...]
+_ROLES = list(Role)
 
 
 class LossRates:
@@ -145,7 +146,7 @@ def _row(truth: Truth, factor: float, dt: float, losses: LossRates) -> Row:
 def _role(escort: EscortTruth) -> int:
     """Return the code of the UAV's role in its team; 0: none."""
     role = None if escort.report is None else escort.report.role
-    return 0 if role is None else code(role)
+    return 0 if role is None else 1 + _ROLES.index(role)
 
 
 def _estimate_error(truth: Truth, escort: EscortTruth, dt: float) -> float | None:

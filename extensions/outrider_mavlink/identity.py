@@ -12,7 +12,6 @@ from bus.messages.scenario import Origin
 from bus.messages.team import Role
 from outrider_mavlink.dialect import MavMessage, mavlink
 from outrider_mavlink.geodesy import geodetic
-from sim.compiling.records import code
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 _MIN_COURSE_SPEED = 0.01
@@ -187,7 +186,7 @@ class VehicleSystem:
         """Yield role and number of a UAV in a team as named values: `ROLE`, from 1 as in `Role`, and `NUMBER`."""
         if self.team is None or self.moving is None:
             return
-        role = 0 if self.team.role is None else code(self.team.role)
+        role = 0 if self.team.role is None else 1 + list(Role).index(self.team.role)
         for name, value in ((b"ROLE", role), (b"NUMBER", min(self.team.number, _LARGEST))):
             yield mavlink.MAVLink_named_value_int_message(self._boot(self.moving), name, value)
 
