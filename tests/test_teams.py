@@ -22,6 +22,7 @@ from bus.messages.telemetry import TeamStatus
 from bus.messages.vehicle import UavCommand, UavObservation, UgvBriefing, UgvObservation
 from fields import fields_within
 from outrider.running.assumptions import how_certifiable
+from outrider.running.deaths import MortalPilots
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import summarize
 from processes import await_status, child_of, flying, observing
@@ -43,39 +44,9 @@ def team(duration: float, **changes: Any) -> Scenario:
     return load_scenario("scouts", overrides=COARSE | {"duration": duration} | given)
 
 
-class Mortal(InProcess):
-    """Pilots whose processes die: `dies` names the victims of a tick; each is back after `absent` ticks.
-
-    A new process knows its past only, as over the bus.
-    """
-
-    def __init__(self, flight: Flight, dies: Callable[[int], list[str]], absent: int) -> None:
-        self.flight, self._dies, self._absent = flight, dies, absent
-        self._missed: dict[str, list[int]] = {}
-        self._away: dict[str, int] = {}  # tick of the return
-        self._made = make_pilots(flight.scenario, flight.seed)
-        self.deaths = 0
-        super().__init__(dict(self._made))
-
-    def collect(self, tick: int) -> dict[str, Any]:
-        for name, back in list(self._away.items()):
-            if tick >= back:
-                self._brief(name, tick)
-        for name in self._dies(tick):
-            if name not in self._away:
-                self._away[name], self.deaths = tick + self._absent, self.deaths + 1
-        self._pilots = {k: v for k, v in self._made.items() if k not in self._away}
-        for name in self._away:
-            self._missed.setdefault(name, []).append(tick)
-        return super().collect(tick)
-
-    def _brief(self, name: str, tick: int) -> None:
-        del self._away[name]
-        self.flight.rejoin(name)
-        self._made[name] = made = make_pilots(self.flight.scenario, self.flight.seed)[name]
-        for observation in self.flight.past(name, 0, tick, self._missed.get(name, [])):
-            made.act(observation)  # type: ignore[arg-type] - of its own kind
-        made.forget_commands()
+def mortal(flight: Flight, dies: Callable[[int], list[str]], absent: int) -> MortalPilots:
+    """Return pilots of which those that `dies` names die in a tick; each is back after `absent` ticks."""
+    return MortalPilots(flight, lambda tick: dict.fromkeys(dies(tick), absent))
 
 
 def status_of(flight: Flight) -> TeamStatus:
@@ -149,7 +120,7 @@ def test_a_bad_network_and_deaths_break_no_guarantee(number: int) -> None:
             return [max(numbers, key=numbers.__getitem__)]
         return [rng.choice(sorted(numbers))] if tick > 200 and rng.random() < 0.002 else []
 
-    exchange = Mortal(flight, dies, absent=rng.choice((10, 60)))
+    exchange = mortal(flight, dies, absent=rng.choice((10, 60)))
     flight.fly(exchange)
     status = assert_guaranteed(flight)
     assert status.team_certified_share > 0.5
@@ -159,7 +130,7 @@ def test_a_bad_network_and_deaths_break_no_guarantee(number: int) -> None:
 
 def test_two_guards_tolerate_the_death_of_one() -> None:
     flight = Flight(team(40.0, team__guards=2), 3)
-    exchange = Mortal(flight, lambda tick: guards_of(flight)[:1] if tick == 300 else [], absent=200)
+    exchange = mortal(flight, lambda tick: guards_of(flight)[:1] if tick == 300 else [], absent=200)
     flight.fly(exchange)
     status = assert_guaranteed(flight)
     assert exchange.deaths == 1
@@ -177,7 +148,7 @@ def test_a_scout_takes_over_from_a_dead_guard() -> None:
             return dead
         return []
 
-    flight.fly(Mortal(flight, dies, absent=10_000))
+    flight.fly(mortal(flight, dies, absent=10_000))
     assert_guaranteed(flight)
     first, *_ = guards_of(flight)
     assert first not in dead
@@ -193,7 +164,7 @@ def test_a_rejoined_guard_guards_again_before_it_scouts() -> None:
         roles.append(flight.answers.roles().get("uav_0"))
         return ["uav_0"] if tick == 300 else []
 
-    flight.fly(Mortal(flight, dies, absent=40))
+    flight.fly(mortal(flight, dies, absent=40))
     assert_guaranteed(flight)
     assert set(roles[100:]) - {None} == {Role.GUARD}
 

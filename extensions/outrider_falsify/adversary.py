@@ -53,8 +53,12 @@ class Adversary:
         self.script: list[ScriptStep] = []
         """Its commands so far."""
 
+    def opponent(self) -> int:
+        """Return the row of the UAV to which it reacts, among the vehicles."""
+        return int(self._world.escorts[0, 0])
+
     def _wanted(self) -> Vector:
-        c, ((a, g),) = self._tactics, self._world.escorts.tolist()
+        c, a, g = self._tactics, self.opponent(), int(self._world.escorts[0, 1])
         p_a = self._world.position[a].tolist()
         p_g = self._world.position[g].tolist()
         v_a = self._world.velocity[a].tolist()

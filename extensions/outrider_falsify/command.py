@@ -28,6 +28,7 @@ def command(
     control: options.Control = None,
     error: options.Error = None,
     altitude: options.Altitude = False,
+    team: options.Team = False,
     changes: Set = None,
     allow_code: AllowCode = False,
     out: options.Out = None,
@@ -47,10 +48,32 @@ def command(
     For this law a compiled attack runs as well: adversaries control the UAV, the UGV, the detection errors and the
     network, and break assumptions. It takes 99 of 100 of --runs, or two thirds of --minutes.
 
+    With --team, the adversary attacks the guarantee of a team. It ends processes in the tick of an acceptance, blacks
+    out the link between the UAVs while a scout is at the end of its leash, and asks for relief without need. The file
+    of a counterexample contains these events: `outrider falsify FILE --team` repeats them.
+
     The exit code is 0 for any result unless --expect is given; 130 after Ctrl-C, which keeps the best result.
 
     Example: outrider falsify --law switching --limit none
     """
+    _check_out(out)
+    if minutes is None and runs is None:
+        minutes = _MINUTES
+    if team:
+        if control is not None or error is not None or engine is not None or altitude:
+            raise typer.BadParameter(
+                "--team: excludes --engine, --control, --error and --altitude; leave them out"
+            )
+        from outrider_falsify.team import work as team_work  # noqa: PLC0415 - the compiler
+
+        how = team_work.TeamOptions(
+            law=law, limit=limit, duration=duration, changes=changes, allow_code=allow_code
+        )
+        budget = team_work.TeamBudget(
+            runs=runs, minutes=minutes, seed=seed, jobs=jobs or cores(), out=out
+        )
+        team_work.run_command(scenario, how, budget, expect, json=json)
+        return
     from outrider_falsify import work  # noqa: PLC0415 - the compiler
     from outrider_falsify.engines import SearchRequest  # noqa: PLC0415 - the compiler
 
@@ -71,14 +94,13 @@ def command(
     attacks = certified and (control is not None or engine != "flights")
     limits = work.limits_of_search(limit, flown)
     work.check_error(error if attacks else None)
-    _check_out(out)
     wanted = SearchRequest(
         base=work.base_scenario(flown, limits) if flies else flown,
         limits=limits,
         flies=flies,
         attacks=attacks,
         runs=runs,
-        minutes=_MINUTES if runs is None and minutes is None else minutes,
+        minutes=minutes,
         attack_duration=duration or options.ATTACK,
         seed=seed,
         jobs=jobs or cores(),

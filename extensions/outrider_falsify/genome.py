@@ -15,7 +15,7 @@ from outrider_falsify.limits import SearchLimits, pair, time_to_detection
 from sim.models.vehicles import stopping_distance
 from sim.scenario.types import Detections, LinkTable, Scenario, VehicleLinks, switching_radius
 
-(_X, _Y, _ANGLE, _DISTANCE, _UAV_SPEED, _UAV_HEADING, _UGV_SPEED, _UGV_HEADING) = range(8)
+(X, Y, ANGLE, DISTANCE, _UAV_SPEED, _UAV_HEADING, _UGV_SPEED, _UGV_HEADING) = range(8)
 (_DELAY, _JITTER, _LOSS, _NOISE, _COMMAND_DELAY, _BLACKOUT, _BLACKOUT_START, _BLACKOUT_GAP) = range(
     8, 16
 )
@@ -52,7 +52,8 @@ class Candidate:
     """Seed of noise and losses."""
 
 
-def _polar(length: float, angle: float, digits: int) -> Vector:
+def polar(length: float, angle: float, digits: int) -> Vector:
+    """Return the vector of a length and an angle [rad], with some decimal digits."""
     return cut(length * math.cos(angle), digits), cut(length * math.sin(angle), digits)
 
 
@@ -61,7 +62,8 @@ def _speed(share: float, bound: float) -> float:
     return bound * max(0.0, 2.0 * share - 1.0)
 
 
-def _clipped(point: Vector, size: Vector) -> Vector:
+def clipped(point: Vector, size: Vector) -> Vector:
+    """Return the nearest point of the area from (0, 0) to `size` [m]."""
     return min(max(point[0], 0.0), size[0]), min(max(point[1], 0.0), size[1])
 
 
@@ -72,24 +74,24 @@ def _started(scenario: Scenario, x: Sequence[float]) -> Scenario:
     """
     uav, ugv = pair(scenario)
     width, height, r_v = scenario.area.width, scenario.area.height, scenario.visibility.radius
-    p_g = cut((0.1 + 0.8 * x[_X]) * width, 3), cut((0.1 + 0.8 * x[_Y]) * height, 3)
-    angle = 2.0 * math.pi * x[_ANGLE]
+    p_g = cut((0.1 + 0.8 * x[X]) * width, 3), cut((0.1 + 0.8 * x[Y]) * height, 3)
+    angle = 2.0 * math.pi * x[ANGLE]
     speed = _speed(x[_UAV_SPEED], uav.max_speed)
     room = switching_radius(scenario, uav, ugv) - float(
         stopping_distance(speed + ugv.max_speed, uav.max_acceleration)
     )
-    distance = x[_DISTANCE] * min(max(room, 0.1 * r_v), 0.98 * r_v)
-    d_x, d_y = _polar(distance, angle, 3)
-    v_a = _polar(speed, angle + 2.0 * math.pi * x[_UAV_HEADING], 4)
-    v_g = _polar(_speed(x[_UGV_SPEED], ugv.max_speed), angle + 2.0 * math.pi * x[_UGV_HEADING], 4)
+    distance = x[DISTANCE] * min(max(room, 0.1 * r_v), 0.98 * r_v)
+    d_x, d_y = polar(distance, angle, 3)
+    v_a = polar(speed, angle + 2.0 * math.pi * x[_UAV_HEADING], 4)
+    v_g = polar(_speed(x[_UGV_SPEED], ugv.max_speed), angle + 2.0 * math.pi * x[_UGV_HEADING], 4)
     # the UGV is in Q, so clipping brings the UAV nearer
-    p_a = _clipped((round(p_g[0] + d_x, 3), round(p_g[1] + d_y, 3)), (width, height))
+    p_a = clipped((round(p_g[0] + d_x, 3), round(p_g[1] + d_y, 3)), (width, height))
     uav = msgspec.structs.replace(uav, position=p_a, velocity=v_a)
     ugv = msgspec.structs.replace(ugv, position=p_g, velocity=v_g)
     return msgspec.structs.replace(scenario, uav=(uav,), ugv=(ugv,))
 
 
-def _covered(scenario: Scenario, x: Sequence[float]) -> Scenario:
+def covered(scenario: Scenario, x: Sequence[float]) -> Scenario:
     """Mark a rectangle around the UGV's start as covered: the rest draws the UAV outwards."""
     area, (p_x, p_y) = scenario.area, scenario.ugv[0].position
     west, east, south, north = (
@@ -99,10 +101,9 @@ def _covered(scenario: Scenario, x: Sequence[float]) -> Scenario:
     upper = (cut(min(area.width, p_x + east), 2), cut(min(area.height, p_y + north), 2))
     if min(upper[0] - lower[0], upper[1] - lower[1]) < 2.0 * area.cell:
         return scenario
-    covered = (*scenario.coverage.covered, Region(lower=lower, upper=upper))
-    return msgspec.structs.replace(
-        scenario, coverage=msgspec.structs.replace(scenario.coverage, covered=covered)
-    )
+    regions = (*scenario.coverage.covered, Region(lower=lower, upper=upper))
+    coverage = msgspec.structs.replace(scenario.coverage, covered=regions)
+    return msgspec.structs.replace(scenario, coverage=coverage)
 
 
 def _blackouts(
@@ -123,7 +124,7 @@ def _blackouts(
     return tuple((round(start + k * every, 6), length) for k in range(count))
 
 
-def _degraded(scenario: Scenario, limits: SearchLimits, x: Sequence[float]) -> Scenario:
+def degraded(scenario: Scenario, limits: SearchLimits, x: Sequence[float]) -> Scenario:
     """Apply noise and network effects; the UGV's own commands stay without delay."""
     if not limits.degraded:
         return scenario
@@ -151,7 +152,7 @@ def _script(scenario: Scenario, x: Sequence[float]) -> tuple[ScriptStep, ...]:
     longest = 2.0 * scenario.ticks / SCRIPT_STEPS
     steps, tick = [], 0
     for k in range(HEAD, HEAD + 3 * SCRIPT_STEPS, 3):
-        velocity = _polar(v_g * min(1.0, 1.5 * x[k + 2]), 2.0 * math.pi * x[k + 1], 4)
+        velocity = polar(v_g * min(1.0, 1.5 * x[k + 2]), 2.0 * math.pi * x[k + 1], 4)
         steps.append(ScriptStep(time=tick * dt, velocity=velocity))
         tick += max(1, round(x[k] * longest))
     return tuple(steps)
@@ -159,7 +160,7 @@ def _script(scenario: Scenario, x: Sequence[float]) -> tuple[ScriptStep, ...]:
 
 def tactics_of(vector: Sequence[float], scenario: Scenario) -> Tactics:
     """Return the tactics of an `adversary`."""
-    uav, ugv = pair(scenario)
+    uav, ugv = scenario.uav[0], scenario.ugv[0]
     table = tuple(
         (2.0 * math.pi * angle, ugv.max_speed * min(1.0, 1.5 * speed))
         for angle, speed in zip(vector[_TABLE::2], vector[_TABLE + 1 :: 2], strict=True)
@@ -178,7 +179,7 @@ def decode(candidate: Candidate, base: Scenario, limits: SearchLimits) -> Scenar
     The script of an `adversary` is missing, because only its run can record it.
     """
     x = candidate.vector
-    scenario = _degraded(_covered(_started(base, x), x), limits, x)
+    scenario = degraded(covered(_started(base, x), x), limits, x)
     script = (
         _script(scenario, x)
         if candidate.kind == "script"

@@ -104,6 +104,14 @@ def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
         ScenarioError: If the scenario has more than one pair, or nothing can be certified within these limits.
     """
     pair(scenario)
+    base = declared_base(scenario, limits)
+    if LAWS[base.law.name].watched:
+        check_bounds(base, limits)
+    return base
+
+
+def declared_base(scenario: Scenario, limits: SearchLimits) -> Scenario:
+    """Return the scenario with bounds that cover these limits and undegraded links; see `base_of`."""
     detections = msgspec.structs.replace(scenario.detections, noise=limits.noise, dropout=0.0)
     given = scenario.certificate
     worst = _worst_error(scenario, limits)
@@ -118,19 +126,21 @@ def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
         if as_usual
         else parameters.max_measurement_age,
     )
-    base = msgspec.structs.replace(
+    return msgspec.structs.replace(
         scenario,
         detections=detections,
         links=LinkTable(),
         certificate=certificate,
         command_timeout=needed_command_timeout(limits, scenario),
     )
-    if LAWS[base.law.name].watched:
-        _check_bounds(base, limits)
-    return base
 
 
-def _check_bounds(base: Scenario, limits: SearchLimits) -> None:
+def check_bounds(base: Scenario, limits: SearchLimits) -> None:
+    """Check that a filter can certify within these limits.
+
+    Raises:
+        ScenarioError: If it cannot.
+    """
     delay = LinkSettings(delay=limits.command_delay)
     latest = msgspec.structs.replace(
         base, links=msgspec.structs.replace(base.links, commands=delay)
@@ -144,8 +154,8 @@ def _check_bounds(base: Scenario, limits: SearchLimits) -> None:
 
 
 def beyond_declared(base: Scenario, limits: SearchLimits) -> tuple[str, ...]:
-    """Return a warning for each limit that exceeds a bound declared to the law `certified`."""
-    if not LAWS[base.law.name].watched:
+    """Return a warning for each limit that exceeds a bound declared to the safety filter."""
+    if not (LAWS[base.law.name].watched or base.team is not None):
         return ()
     given = base.certificate
     error = _worst_error(base, limits)

@@ -12,6 +12,8 @@ FLIGHT, ATTACK = 60.0, 200.0
 """Default durations of a run [s]."""
 DEFAULTS = {"delay": 1.0, "loss": 0.3, "blackout": 5.0, "command_delay": 0.5}
 """Default limits: [s], share, [s], [s]; `noise` defaults to the scenario's."""
+TEAM_DEFAULTS = {"delay": 0.2, "loss": 0.3, "blackout": 0.5, "command_delay": 0.1}
+"""Default limits with --team."""
 _MOST = {"delay": 30.0, "loss": 0.99, "blackout": 1000.0, "command_delay": 30.0, "noise": 100.0}
 """Largest value of each limit."""
 _UNDEGRADED = "none"
@@ -40,7 +42,8 @@ Limit = Annotated[
         metavar="KEY=VALUE|none",
         help="Limit noise and network effects (repeatable). Keys and defaults: "
         f"delay {DEFAULTS['delay']:g} s, loss {DEFAULTS['loss']:g}, blackout {DEFAULTS['blackout']:g} s, "
-        f"command_delay {DEFAULTS['command_delay']:g} s, noise in m (the scenario's). none: perfect network, no noise.",
+        f"command_delay {DEFAULTS['command_delay']:g} s, noise in m (the scenario's). none: perfect network, no noise. "
+        f"Defaults with --team: {', '.join(f'{value:g}' for value in TEAM_DEFAULTS.values())}.",
     ),
 ]
 Error = Annotated[
@@ -82,6 +85,10 @@ Altitude = Annotated[
     bool,
     typer.Option("--altitude", help="Attack a UAV that dives and climbs over towns."),
 ]
+Team = Annotated[
+    bool,
+    typer.Option("--team", help="Attack the guarantee of a team."),
+]
 Out = Annotated[
     Path | None,
     typer.Option(
@@ -90,12 +97,15 @@ Out = Annotated[
 ]
 
 
-def limits_of(given: list[str] | None, noise: float) -> dict[str, float]:
+def limits_of(
+    given: list[str] | None, noise: float, defaults: dict[str, float] = DEFAULTS
+) -> dict[str, float]:
     """Parse the arguments of `SearchLimits`.
 
     Args:
         given: Options `KEY=VALUE`, or `none` alone.
         noise: Noise of the scenario [m].
+        defaults: Limits that are not given.
 
     Raises:
         BadParameter: If a limit is unknown or out of range.
@@ -104,7 +114,7 @@ def limits_of(given: list[str] | None, noise: float) -> dict[str, float]:
         if given != [_UNDEGRADED]:
             raise typer.BadParameter("--limit none: excludes other limits; allowed: none alone")
         return {}
-    limits = DEFAULTS | {"noise": noise}
+    limits = defaults | {"noise": noise}
     for text in given or ():
         key, _, number = text.partition("=")
         if key not in _MOST:

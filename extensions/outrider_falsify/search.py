@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import count, islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,21 @@ _ISLANDS, _POPULATION = 2, 16
 _SPREAD, _NEW_SPREAD = 0.15, 0.3
 """Standard deviation of the first generation, and of the first generation after a restart."""
 _ELITE = 8
+
+
+class SearchSpace(NamedTuple):
+    """Candidates that are searched."""
+
+    sizes: dict[str, int]
+    """Number of parameters of each kind; the critical cases are of the first kind."""
+    cases: list[list[float]]
+    """Critical cases."""
+    fly: Callable[[Candidate, Scenario, SearchLimits], CandidateResult]
+    """Simulation of a candidate in a worker: a function of a module."""
+
+
+PAIRS = SearchSpace(SIZES, proof_cases(), fly_candidate)
+"""Flights of one UAV and one UGV."""
 
 
 class Budget:
@@ -96,13 +111,13 @@ class Tally:
         del self.elite[_ELITE:]
 
 
-def _chances(seed: int) -> Iterator[tuple[str, tuple[float, ...], int]]:
+def _chances(seed: int, space: SearchSpace = PAIRS) -> Iterator[tuple[str, tuple[float, ...], int]]:
     """Yield kind, vector and seed: the critical cases of the proofs, then random vectors of alternating kinds."""
     random = np.random.default_rng((seed, 0))
-    for case in proof_cases():
-        yield "adversary", tuple(case), int(random.integers(2**31))
+    for case in space.cases:
+        yield next(iter(space.sizes)), tuple(case), int(random.integers(2**31))
     while True:
-        for kind, size in SIZES.items():
+        for kind, size in space.sizes.items():
             yield kind, tuple(random.random(size).tolist()), int(random.integers(2**31))
 
 
@@ -152,6 +167,7 @@ def run_search(
     limits: SearchLimits,
     seed: int,
     on_run: Callable[[], None],
+    space: SearchSpace = PAIRS,
 ) -> None:
     """Search until the budget is used up.
 
@@ -163,8 +179,9 @@ def run_search(
         limits: Limits of the search.
         seed: Seed of the search.
         on_run: Callback after every run.
+        space: Candidates to search.
     """
-    chances, cases, size = _chances(seed), len(proof_cases()), _ISLANDS * _POPULATION
+    chances, cases, size = _chances(seed, space), len(space.cases), _ISLANDS * _POPULATION
     numbers, island_numbers = count(), count(1)
     islands: list[_Island] = []
 
@@ -187,7 +204,7 @@ def run_search(
         flown = {candidate.number: candidate for candidate in batch}
         results: list[CandidateResult] = []
         calls = ((one, base, limits) for one in batch)
-        for result in workers.stream(fly_candidate, calls, budget.ends):
+        for result in workers.stream(space.fly, calls, budget.ends):
             tally.take(flown[result.number], result)
             results.append(result)
             on_run()
