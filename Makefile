@@ -11,8 +11,10 @@ WORKERS := -n auto --dist loadscope --no-loadscope-reorder
 LEARNERS := sb3 torchrl rllib supersuit
 
 SEQUENCES := 60
+TEAM_RUNS := 5000
+TEAM_FLIGHT := --duration 20 --law logarithmic --set area.cell=0.5 --expect none
 
-.PHONY: help run test long-test core-test check format reference figures bench docs soak kill-test wall-test compose-test page-test bridge-test learn-test clean
+.PHONY: help run test long-test core-test check format reference figures bench docs soak kill-test wall-test team-test compose-test page-test bridge-test learn-test clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -85,6 +87,11 @@ kill-test: $(VENV)/.dev ## kill and stop processes at random times; check the tr
 
 wall-test: $(VENV)/.dev ## drive along the walls of 1,600 towns: check that no certified UGV hides
 	$(BIN)/python tests/acceptance/walls.py $(ARGS)
+
+team-test: $(VENV)/.dev ## attack teams: 900,000 runs of their rules, 10,000 flights with deaths (TEAM_RUNS=5000)
+	$(BIN)/python -m pytest -m long tests/test_team_protocol.py
+	$(BIN)/outrider falsify scouts --team --runs $(TEAM_RUNS) $(TEAM_FLIGHT)
+	$(BIN)/outrider falsify scouts --team --runs $(TEAM_RUNS) $(TEAM_FLIGHT) --set team.guards=2
 
 compose-test: $(VENV)/.run ## build, run, kill, pause and disconnect the containers; needs a Docker engine
 	$(BIN)/python tests/acceptance/compose.py $(ARGS)

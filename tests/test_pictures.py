@@ -78,6 +78,23 @@ def draw_altitudes(out: Path) -> None:
     worth.draw(rows, out)
 
 
+def draw_teams(out: Path) -> None:
+    worth = importlib.import_module("team_worth")
+    numbers = {"mean_error": 1.0, "unguarded": 0.0, "out_of_sight": 0, "found": 1}
+    rows = [
+        worth.Row(
+            key=0, scenario=name, network=network, mode=mode, uavs=n, seed=seed,
+            mission_time=None, **numbers,
+        )
+        for name, networks in worth.TASKS.items()
+        for network in networks
+        for mode in (worth.ALONE, worth.TEAM)
+        for n in worth.UAVS
+        for seed in (1, 2)
+    ]  # fmt: skip
+    worth.draw(rows, out)
+
+
 def draw_learning_curve(out: Path) -> None:
     policy = ROOT / "examples" / "policies" / "uav_ppo.npz"
     importlib.import_module("curve").draw_curve(policy, out, laws=())
@@ -116,6 +133,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "docs/explanation/missions.png": draw_missions,
     "docs/explanation/altitude.png": draw_altitudes,
     "docs/explanation/peers.png": draw_peers,
+    "docs/explanation/teams.png": draw_teams,
     "docs/explanation/robustness/commands-errors.png": draw_sweeps("errors", *COMMANDS),
     "docs/explanation/robustness/commands-violations.png": draw_sweeps("violations", *COMMANDS),
     "docs/explanation/robustness/violations.png": draw_sweeps("violations", "network"),

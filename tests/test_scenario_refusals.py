@@ -309,6 +309,7 @@ coverage.covered=[{lower=[1, 1], uper=[2, 2]}]
 duration | --set = "duration": not of the form key=value; allowed: key=value, such as
 law..name=x | --set = "law..name=x": not of the form key=value
 uav.1.max_speed=1 | uav.1.max_speed = 1: uav has no entry "1"; allowed: uav.0
+uav.count=2 | uav.count = 2: not a number of the entries to keep; allowed: 1 to 1
 uav.²=1 | uav.² = 1: uav has no entry "²"; allowed: uav.0
 ugv.0.goals.9=[1, 1]
 | ugv.0.goals.9 = [1, 1]: ugv.0.goals has no entry "9"; allowed: ugv.0.goals.0 to ugv.0.goals.4

@@ -140,6 +140,13 @@ def test_values_of_any_kind_can_be_varied():
     assert plan.points[-1].scenario.links.commands == PROFILES["lte"]
 
 
+def test_team_sizes_can_be_varied() -> None:
+    plan = plan_of("scouts", vary=["uav.count=1,3"], seeds=1)
+    assert [len(point.scenario.uav) for point in plan.points] == [1, 3]
+    assert [plan.head(run)["uav.count"] for run in (0, 1)] == [1.0, 3.0]
+    assert {"team_certified_share", "handovers"} <= plan.columns.keys()
+
+
 def test_a_scenario_beside_the_sweep_s_file_is_found(tmp_path, monkeypatch):
     (tmp_path / "yard.toml").write_text(
         "duration = 5.0\n[[uav]]\nposition = [6, 7]\n[[ugv]]\nposition = [6, 6]\n", encoding="utf-8"

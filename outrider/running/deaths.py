@@ -56,6 +56,6 @@ class MortalPilots(InProcess):
         self.flight.rejoin(name)
         made = make_pilots(self.flight.scenario, self.flight.seed)[name]
         for observation in self.flight.past(name, 0, tick, self._missed[name]):
-            made.act(observation)  # type: ignore[arg-type] - of its own kind
+            made.act(observation)  # type: ignore[arg-type]  # of its own kind
         made.forget_commands()
         self.pilots[name] = made

@@ -8,6 +8,10 @@ from sim.input.faults import Fault, short, shown
 _SET_EXAMPLE = "key=value, such as detections.noise=0.2 or uav.0.max_speed=0.5"
 
 
+_COUNT = "count"
+"""Last part of the key that keeps the first entries of a list."""
+
+
 def parse_override(change: str, *, file: str) -> tuple[str, object]:
     """Return key and value of a `--set key=value`; a value that is not TOML is plain text.
 
@@ -30,7 +34,8 @@ def apply_override(raw: dict[str, Any], key: str, value: object, *, file: str) -
 
     Args:
         raw: Scenario as read from TOML; changed.
-        key: Dotted path; entries of a list count from 0, and `uav.*` means all entries of the list `uav`.
+        key: Dotted path; entries of a list count from 0, and `uav.*` means all entries of the list `uav`. `uav.count`
+            keeps the first entries of this list.
         value: New value.
         file: Name of the file for error messages.
 
@@ -43,6 +48,11 @@ def apply_override(raw: dict[str, Any], key: str, value: object, *, file: str) -
         for k in range(len(entries)):
             apply_override(raw, f"{name}.{k}.{field}", value, file=file)
         return
+    name, _, field = key.rpartition(".")
+    entries = raw.get(name)
+    if field == _COUNT and isinstance(entries, list):
+        _keep_first(entries, key, value, file=file)
+        return
     *path, last = key.split(".")
     table: Any = raw
     try:
@@ -53,6 +63,15 @@ def apply_override(raw: dict[str, Any], key: str, value: object, *, file: str) -
     except LookupError as found:
         wrong, allowed = found.args
         raise Fault(key, value, wrong, allowed).error(file) from None
+
+
+def _keep_first(entries: list[Any], key: str, value: object, *, file: str) -> None:
+    """Keep the first entries of a list, in place."""
+    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= len(entries):
+        raise Fault(
+            key, value, "not a number of the entries to keep", f"1 to {len(entries)}"
+        ).error(file)
+    del entries[value:]
 
 
 def _key_or_index(table: object, part: str, *, path: str) -> str | int:

@@ -17,9 +17,9 @@ from outrider_falsify.team.events import Event, EventKind, Events
 from outrider_falsify.team.genome import TeamTactics
 from sim.server.flight import Flight
 
-_QUIET = 3.0
+_QUIET = 1.0
 """Time at the start without events [s]."""
-_FULL_LEASH = 0.9
+_FULL_LEASH = 0.95
 """Share of the scouts' range from which a scout counts as being at the end of its leash."""
 
 
