@@ -1,6 +1,7 @@
 """Benefit of a team: coverage, objects found, mission time and unguarded time by UAVs, over three networks.
 
 python benchmarks/team_worth.py                              the table of docs/explanation/teams.md
+python benchmarks/team_worth.py scouts                       the scenario `scouts` only, ten minutes
 python benchmarks/team_worth.py --picture teams.png          the table and its plot
 python benchmarks/team_worth.py --rows rows.jsonl            keep the flights in a file, and fly only missing ones
 python benchmarks/team_worth.py --seeds 2 --duration 60      a quick check
@@ -44,6 +45,8 @@ TITLES = {
     "found": "objects found, of 8",
     "unguarded": "time without a certified UAV [%]",
 }
+PANELS = (("scouts", "mean_error"), ("rescue", "found"), ("scouts", "unguarded"))
+"""Scenario and quantity of each plot; a scenario that was not flown has none."""
 _SPACING = 1.2
 """Distance between two UAVs at the start [m]."""
 _FIRST_SEED = 1
@@ -123,11 +126,14 @@ def _fly(key: int, scenario: Scenario, names: tuple[str, str, str], seed: int) -
     )
 
 
-def rows(seeds: int, duration: float | None, kept: Path | None) -> Iterator[Row]:
+def rows(
+    names: Sequence[str], seeds: int, duration: float | None, kept: Path | None
+) -> Iterator[Row]:
     """Yield the results of all flights; a file keeps them."""
     lines = kept.read_bytes().splitlines() if kept is not None and kept.exists() else []
     known = {row.key: row for row in (msgspec.json.decode(line, type=Row) for line in lines)}
-    for name, networks in TASKS.items():
+    for name in names:
+        networks = TASKS[name]
         for seed in range(_FIRST_SEED, _FIRST_SEED + seeds):
             for network in networks:
                 for mode, uavs in ((ALONE, 1), *((m, n) for n in UAVS[1:] for m in (ALONE, TEAM))):
@@ -222,7 +228,8 @@ def draw(rows: Sequence[Row], path: Path) -> None:
 
 def _drawn(rows: Sequence[Row]) -> Figure:
     figure = new_figure(1500, 560)
-    panels = (("scouts", "mean_error"), ("rescue", "found"), ("scouts", "unguarded"))
+    flown = {one.scenario for one in rows if one.seed > _FIRST_SEED}
+    panels = [(name, quantity) for name, quantity in PANELS if name in flown]
     for axes, (name, quantity) in zip(figure.subplots(1, len(panels)), panels, strict=True):
         _plot(axes, rows, name, quantity)
     keys = [Line2D([], [], color=color, lw=2.0, label=mode)
@@ -238,13 +245,16 @@ def _drawn(rows: Sequence[Row]) -> Figure:
 def main() -> None:
     """Print the table and, if requested, plot it."""
     parser = argparse.ArgumentParser(description="Benefit of a team.")
+    parser.add_argument(
+        "scenarios", nargs="*", default=[*TASKS], metavar="SCENARIO", help="Default: all."
+    )
     parser.add_argument("--seeds", type=int, default=6, help="Flights per row.")
     parser.add_argument("--duration", type=float, help="Duration of each flight [s].")
     parser.add_argument("--rows", type=Path, help="Keep the flights in this file.")
     parser.add_argument("--picture", type=Path, help="Plot the result into this PNG.")
     given = parser.parse_args()
     found = []
-    for row in rows(given.seeds, given.duration, given.rows):
+    for row in rows(given.scenarios, given.seeds, given.duration, given.rows):
         found.append(row)
         sys.stderr.write(f"{row.scenario} {row.network} {row.mode} {row.uavs} {row.seed}\n")
     sys.stdout.write(table(found))

@@ -49,7 +49,7 @@ TEAM_SIZES = {"team": PAIR + 21}
 
 _LATEST = 2.0
 """Largest delay, jitter and extra delay of a message between UAVs [s]."""
-_LONGEST = 40.0
+_LONGEST = 80.0
 """Longest absence of a process, and longest blackout of the link between the UAVs [s]."""
 
 

@@ -44,7 +44,7 @@ def test_attack_on_the_product_finds_nothing(guards: int) -> None:
     results = [result_of(number, scenario) for number in (0, 1, 2, 3, 11)]
     assert not any(one.violated for one in results)
     assert sum(one.counts.handovers for one in results) > 4
-    assert sum(one.counts.deaths for one in results) > 5
+    assert sum(one.counts.deaths for one in results) > 2
     assert sum(one.counts.blackouts for one in results) > 0
     assert max(one.score for one in results) > 0.8
 
