@@ -30,7 +30,7 @@ from sim.scenario.team import lowest_sight
 from sim.scenario.types import Scenario, altitude_limits
 from sim.server.flight import Flight
 from sim.world import World
-from test_teams import Mortal, assert_guaranteed, guards_of, status_of
+from test_teams import assert_guaranteed, guards_of, mortal, status_of
 
 ROOF = 3.0
 LOW = {
@@ -123,7 +123,7 @@ def test_diving_uavs_keep_every_guarantee_in_a_town(number: int) -> None:
             return [max(numbers, key=numbers.__getitem__)]
         return [rng.choice(sorted(numbers))] if tick > 200 and rng.random() < 0.003 else []
 
-    exchange = Mortal(flight, dies, absent=rng.choice((10, 60)))
+    exchange = mortal(flight, dies, absent=rng.choice((10, 60)))
     flight.fly(exchange)
     status = assert_guaranteed(flight)
     assert exchange.deaths > 0
@@ -134,7 +134,7 @@ def test_diving_uavs_keep_every_guarantee_in_a_town(number: int) -> None:
 def test_scouts_that_dive_stay_above_the_roofs_of_a_town() -> None:
     """No filter acts on them: the vertical rule alone stops their dive."""
     flight = Flight(town(60.0, bands=SCOUTING_LOW, **DIVING), 3)
-    flight.fly(Mortal(flight, lambda _: [], absent=1))
+    flight.fly(mortal(flight, lambda _: [], absent=1))
     status = assert_guaranteed(flight)
     assert status.team_certified_share > 0.99
     assert status.team_out_of_sight == 0
@@ -157,7 +157,7 @@ def test_a_scout_above_a_town_takes_over_from_a_dead_guard() -> None:
             return dead
         return []
 
-    flight.fly(Mortal(flight, dies, absent=10_000))
+    flight.fly(mortal(flight, dies, absent=10_000))
     assert_guaranteed(flight)
     first, *_ = guards_of(flight)
     assert first not in dead

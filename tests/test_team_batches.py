@@ -31,7 +31,12 @@ with warnings.catch_warnings():  # PettingZoo's package of tests imports depreca
 COARSE = {"area.cell": 0.5}
 BAD = {"links.team.profile": "jammed", "certificate.max_measurement_age": 6.0}
 OWN = {"law.name": "policy", "custom.uav_policy": "given:later"}
-MISTAKES = ("team_certified_while_lost", "team_certificate_broken", "certified_while_lost")
+MISTAKES = (
+    "team_certified_while_lost",
+    "team_certificate_broken",
+    "certified_while_lost",
+    "separation_violations",
+)
 SHORT = {
     f"uav.{k}.{field}": value
     for k in range(3)

@@ -209,7 +209,7 @@ def command(
             _fly(tables, state, pilots, ground, _VehicleRow(world, v, row), actions)
         else:
             _drive(tables, state, pilots, ground, _VehicleRow(world, v, -1 - row), actions)
-    end_commands(pilots.tables.teams, pilots.state.teams, world)
+    end_commands(pilots.tables.teams, pilots.state.teams, state.batch.vehicles, world)
 
 
 @compiled

@@ -24,11 +24,12 @@ from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.compiling.dispatch import unless_none
 from sim.compiling.records import RecordArray, code, record_type, row_of
 from sim.engine.batch import Batch
-from sim.engine.team_monitor import TeamReport, record_team, team_counters
+from sim.engine.team_monitor import TeamReport, are_too_near, record_team, team_counters
 from sim.engine.world_state import BatchState, BatchTables
 from sim.models.endurance import next_charge
 from sim.models.vehicles import State
 from sim.scenario.team import endurance_of, mates_of, teams_of
+from sim.scenario.types import Uav
 
 _ROUNDING = 1.0
 """Flight time that a UAV may have left beyond the flight to its base when it leaves exhausted [s]."""
@@ -50,6 +51,10 @@ class TeamTables(NamedTuple):
     """g: number of guards of a team."""
     first_link: int
     """Row of the first UAV's link to its team."""
+    flying: IntArray
+    """Rows among all vehicles of the UAVs that have an altitude. Shape (flying UAVs,)."""
+    separation: float
+    """Smallest distance that their bands keep [m]."""
 
 
 class TeamState(NamedTuple):
@@ -77,6 +82,10 @@ class TeamState(NamedTuple):
     """`TeamReport` of each UAV, by team. Shape (worlds, teams, most)."""
     counts: RecordArray
     """`TeamCounters`. Shape (worlds, teams)."""
+    near: IntArray
+    """Ticks in which two UAVs with altitudes were nearer than the separation. Shape (worlds,)."""
+    points: FloatArray
+    """Work array: positions of the UAVs with an altitude [m]. Shape (worlds, flying UAVs, 3)."""
     rows: FloatArray
     """Team entries of each UAV's observation row. Shape (worlds, UAVs, entries)."""
 
@@ -96,12 +105,19 @@ def team_tables(batch: Batch, uavs: Sequence[str]) -> TeamTables | None:
     for row, name in enumerate(uavs):
         own = mates_of(scenario, name)
         mates[row, : len(own)] = [uavs.index(mate) for mate in own]
+    flying = [
+        row
+        for row, vehicle in enumerate(scenario.vehicles)
+        if isinstance(vehicle, Uav) and vehicle.initial_altitude is not None
+    ]
     return TeamTables(
         mates=mates,
         team=np.array([teams.index(mates_of(scenario, name)) for name in uavs], dtype=np.int64),
         sizes=np.array([len(team) for team in teams], dtype=np.int64),
         guards=scenario.team.guards,
         first_link=batch.links.row(LinkKind.TEAM, uavs[0]),
+        flying=np.array(flying, dtype=np.int64),
+        separation=float(scenario.team.separation),
     )
 
 
@@ -127,6 +143,8 @@ def team_state(batch: Batch, tables: TeamTables | None, uavs: Sequence[str]) -> 
         watched=np.zeros((worlds, count), np.int64),
         reports=np.zeros((worlds, teams, most), reports),
         counts=np.repeat(team_counters(teams)[None], worlds, axis=0),
+        near=np.zeros(worlds, np.int64),
+        points=np.zeros((worlds, len(tables.flying), 3)),
         rows=np.zeros((worlds, count, entries(most))),
     )
 
@@ -231,6 +249,7 @@ def team_metrics(tables: TeamTables, state: TeamState, uav: int) -> dict[str, Fl
         "handovers": counts["handovers"].astype(np.float64),
         "extra_guard_share": counts["extra"] / ticks,
         "left_without_relief": counts["left"].astype(np.float64),
+        "separation_violations": state.near.astype(np.float64),
     }
 
 
@@ -300,10 +319,25 @@ def clear_decision(memory: TeamMemory | None, decision: Any) -> None:  # noqa: A
 
 
 @compiled
-def end_commands(tables: TeamTables | None, state: TeamState | None, world: int) -> None:
-    """Compare the reports of a world's teams with the guarantee, after all commands of a tick."""
+def end_commands(
+    tables: TeamTables | None, state: TeamState | None, vehicles: RecordArray, world: int
+) -> None:
+    """Compare the reports of a world's teams with the guarantee, after all commands of a tick.
+
+    Args:
+        tables, state: Teams of all worlds; the state is changed.
+        vehicles: `Vehicle`. Shape (worlds, vehicles).
+        world: The world.
+    """
     if tables is None or state is None:
         return
+    points = state.points[world]
+    for n in range(points.shape[0]):
+        one = vehicles[world, tables.flying[n]]
+        points[n, 0], points[n, 1] = one.position[0], one.position[1]
+        points[n, 2] = one.vertical.altitude
+    if are_too_near(points, tables.separation):
+        state.near[world] += 1
     for t in range(tables.sizes.shape[0]):
         reports = state.reports[world, t, : tables.sizes[t]]
         record_team(state.counts[world, t], reports, tables.guards)
