@@ -76,6 +76,41 @@ def chances(
 
 
 @app.command()
+def budget(
+    scenario: options.ScenarioName,
+    risk: Annotated[
+        float, typer.Option(help="Set the probability that a link exceeds its bound in a run.")
+    ] = 1e-3,
+    changes: options.Set = None,
+    duration: options.Duration = None,
+    law: options.LawName = None,
+    network: options.NetworkName = "",
+    json: Json = False,
+) -> None:
+    """Print how much loss, delay and silence a mission can afford.
+
+    The first table compares, for each bound of [certificate], what is declared, what the links need at this risk, and
+    the largest value with which sight can still be certified; r_cert is the price: within this distance the law acts
+    freely. The second table has the largest loss, burst, delay and blackout of each link, one at a time: with the
+    bounds as declared, and with the bound of that link as large as the vehicles tolerate. A delay of commands is
+    compared with max_command_delay.
+
+    Example: outrider network budget escort --risk 1e-3
+    """
+    from outrider_networks.work import print_budget  # noqa: PLC0415 - the compiler
+
+    print_budget(
+        scenario,
+        risk,
+        changes=changes,
+        duration=duration,
+        law=law,
+        network=network,
+        json=json,
+    )
+
+
+@app.command()
 def bounds(
     scenario: options.ScenarioName,
     risk: Annotated[

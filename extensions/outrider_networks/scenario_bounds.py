@@ -61,15 +61,15 @@ def exceedance(scenario: Scenario) -> Exceedance:
     Raises:
         ScenarioError: If no UAV relies on bounds.
     """
-    _check_law(scenario)
+    check_filtered(scenario)
     found: dict[str, Probability] = {}
     for uav in scenario.uav:
         bounds, name = safety_parameters(scenario, uav.name), uav.name
         found[f"{name}/max_measurement_age"] = age_exceedance(
-            **_detections(scenario, name), age=bounds.max_measurement_age
+            **detections_of(scenario, name), age=bounds.max_measurement_age
         )
         found[f"{name}/max_command_interval"] = command_interval_exceedance(
-            **_commands(scenario, name), max_command_interval=bounds.max_command_interval
+            **commands_of(scenario, name), max_command_interval=bounds.max_command_interval
         )
         if bounds.max_measurement_error is not None:
             error = error_exceedance(*_errors(scenario, uav), bounds.max_measurement_error)
@@ -105,8 +105,8 @@ def bounds_for(scenario: Scenario, risk: float) -> Bounds:
     values: dict[str, float] = {}
     notes: list[str] = []
     for uav in scenario.uav:
-        age = smallest_age(**_detections(scenario, uav.name), risk=share)
-        interval = smallest_command_interval(**_commands(scenario, uav.name), risk=share)
+        age = smallest_age(**detections_of(scenario, uav.name), risk=share)
+        interval = smallest_command_interval(**commands_of(scenario, uav.name), risk=share)
         for name, kind, found in (
             ("max_measurement_age", LinkKind.DETECTIONS, age),
             ("max_command_interval", LinkKind.COMMANDS, interval),
@@ -126,7 +126,12 @@ def bounds_for(scenario: Scenario, risk: float) -> Bounds:
     return Bounds(scenario=scenario.name, risk=risk, set=values, notes=notes)
 
 
-def _check_law(scenario: Scenario) -> None:
+def check_filtered(scenario: Scenario) -> None:
+    """Check that a UAV relies on declared bounds.
+
+    Raises:
+        ScenarioError: If none does.
+    """
     if not any(map(scenario.filters, scenario.uav)):
         names = ", ".join(name for name, row in LAWS.items() if row.watched)
         wrong = "no UAV relies on declared bounds"
@@ -143,7 +148,7 @@ def _value(scenario: Scenario, uav: str, kind: LinkKind, found: Smallest, risk: 
     return found.value
 
 
-def _detections(scenario: Scenario, uav: str) -> dict[str, Any]:
+def detections_of(scenario: Scenario, uav: str) -> dict[str, Any]:
     """Return the arguments that describe a UAV's detections."""
     return {
         "settings": scenario.links.of(uav, LinkKind.DETECTIONS),
@@ -155,7 +160,7 @@ def _detections(scenario: Scenario, uav: str) -> dict[str, Any]:
     }
 
 
-def _commands(scenario: Scenario, uav: str) -> dict[str, Any]:
+def commands_of(scenario: Scenario, uav: str) -> dict[str, Any]:
     """Return the arguments that describe a UAV's commands."""
     return {
         "settings": scenario.links.of(uav, LinkKind.COMMANDS),

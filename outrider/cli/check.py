@@ -14,6 +14,7 @@ from outrider.running.assumptions import (
 from outrider.running.first_tick import check_first_tick
 from outrider.running.own_functions import check_own_functions
 from outrider.running.resolve import resolve
+from outrider.running.tolerance import verdict
 from outrider.running.user_code import foreign_code
 from sim.engine.briefing import uav_briefing
 from sim.scenario.checks import scenario_warnings
@@ -38,10 +39,10 @@ def command(
     """Validate a scenario without flying it.
 
     Exits with 0, or with 2 and one line that names file, field and value. The command accepts the options of `run`
-    that change the scenario, and prints the same warnings. With the law certified, it reports the bounds that links or
-    detector may exceed, and whether sight can be certified always, not always, hardly ever or
-    never. Your own functions are
-    loaded and called for one tick; functions named in the file need --allow-code.
+    that change the scenario, and prints the same warnings. With a safety filter, it reports the bounds that links or
+    detector may exceed, whether sight can be certified always, not always, hardly ever or never, and, for each single
+    field, the smallest change that would make it certifiable. Your own functions are loaded and called for one tick;
+    functions named in the file need --allow-code.
 
     Example: outrider check my-scenario.toml --network wifi-poor
     """
@@ -64,12 +65,14 @@ def command(
     if not foreign:
         check_first_tick(scenario)
     certifiable = how_certifiable(scenario)
+    verdicts = {uav.name: verdict(scenario, uav) for uav in filter(scenario.filters, scenario.uav)}
     if json:
         print_json(
             {
                 "scenario": scenario.name,
                 "valid": True,
                 "certifiable": certifiable,
+                "verdicts": {name: one._asdict() for name, one in verdicts.items()},
                 "warnings": warnings,
             }
         )
@@ -81,6 +84,9 @@ def command(
     law_text = f"law {law_title(scenario)}" if scenario.uav else NO_UAV
     if certifiable not in (None, "always"):
         law_text += f", sight {certifiable} certified"
+    for name, one in verdicts.items():
+        for line in one.lines:
+            OUT.tell(f"{name}: {line}")
     for uav in filter(scenario.filters, scenario.uav):
         lowest = certified_from(uav_briefing(scenario, uav.name, scenario.seed))
         if lowest:

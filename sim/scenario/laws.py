@@ -77,6 +77,12 @@ def law_parameters_are_possible(scenario: Scenario) -> Iterator[Fault]:
             yield fault._replace(field=f"{parameters}.{fault.field}".rstrip("."))
 
 
+def _slower(scenario: Scenario, path: str, uav: Uav, ugv: Ugv) -> str:
+    """Return the speed up to which the UAV's acceleration would do, as the end of a sentence; empty: there is none."""
+    most = math.sqrt(2.0 * scenario.visibility.radius * uav.max_acceleration) - ugv.max_speed
+    return f", or {path}.max_speed below {at_most(most, 4)} m/s" if most > ugv.max_speed else ""
+
+
 def switching_radius_is_positive(scenario: Scenario) -> Iterator[Fault]:
     """Check that r_s > 0, so that there is room for coverage, Klodt 2015, eq. (18)."""
     for path, uav, ugv in escorts(scenario):
@@ -98,7 +104,7 @@ def switching_radius_is_positive(scenario: Scenario) -> Iterator[Fault]:
                 f"{path}.max_acceleration",
                 uav.max_acceleration,
                 wrong,
-                f"above {at_least(least, 4)} m/s²",
+                f"above {at_least(least, 4)} m/s²{_slower(scenario, path, uav, ugv)}",
             )
 
 
