@@ -179,6 +179,22 @@ def test_lost_router_ends_every_process_with_a_reason(tmp_path: Path) -> None:
             assert "the router has been absent for 3 s" in line
 
 
+def test_a_vehicle_missing_at_the_end_fails_the_simulator(tmp_path: Path) -> None:
+    with scattered(tmp_path) as run:
+        run.router()
+        simulator = run.simulator(
+            "--set", "run.realtime=20", "--driver", "wander", "--network", "wifi"
+        )
+        run.await_simulator()
+        uav, _ = run.vehicles()
+        run.fly_to(200)
+        uav.kill()
+        out, err = simulator.communicate(timeout=120)
+    assert "uav_0: missing at the end of the run" in err
+    assert json.loads(out)["complete"] is True
+    assert simulator.returncode == 1
+
+
 def test_lost_simulator_ends_a_vehicle_with_a_reason(endpoint: str) -> None:
     vehicle = GIVEN.of("uav_0")
     settings = {"connect": endpoint, "run": "run", "credential": vehicle, "join_timeout": 1.0}

@@ -1,7 +1,7 @@
 """`outrider simulator`: process that simulates the world and hosts the router."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -108,6 +108,13 @@ class _Terminal:
 
     def __init__(self, job: _Job, *, json: bool) -> None:
         self._job, self._json = job, json
+        self.exit_code = 0
+        """1 if a vehicle's process was missing at the end."""
+
+    def missing(self, names: list[str]) -> None:
+        """Report the vehicles whose process was missing at the end."""
+        self.exit_code = 1
+        print_warnings([f"{', '.join(names)}: missing at the end of the run"])
 
     def begin(self, warnings: tuple[str, ...]) -> None:
         """Print the warnings and the awaited vehicles."""
@@ -141,6 +148,12 @@ class _Terminal:
 class _Parent(Reports):
     """Reports to `outrider run`, which has printed the scenario's warnings already."""
 
+    exit_code = 0
+    """`outrider run` reports ended vehicles itself."""
+
+    def missing(self, names: list[str]) -> None:
+        """Do nothing: `outrider run` has started the vehicles, and reports those that have ended."""
+
     def begin(self, warnings: tuple[str, ...]) -> None:
         """Write the warnings about certificates."""
         if warnings:
@@ -169,6 +182,9 @@ def command(
     seed: ServedSeed = None,
     secret: options.Secret = "",
     duration: ServedDuration = None,
+    law: options.LawName = None,
+    driver: options.DriverName = None,
+    network: options.NetworkName = "",
     changes: options.Set = None,
     realtime: options.RealTime = None,
     join_timeout: ServedJoinTimeout = None,
@@ -182,7 +198,8 @@ def command(
 
     The simulator waits for the vehicles, flies the scenario and prints a summary. In lockstep, it runs as fast as the
     vehicles answer; with --realtime, it follows the wall clock. Its credentials are router.json if it hosts the router,
-    and simulator.json if it connects to another router.
+    and simulator.json if it connects to another router. The exit code is 1 if a vehicle's process is missing at the
+    end.
 
     Example: outrider simulator escort --listen tcp/127.0.0.1:17447 --out runs/mine
     """
@@ -197,6 +214,9 @@ def command(
         scenario,
         seed=seed,
         duration=duration,
+        law=law,
+        driver=driver,
+        network=network,
         realtime=realtime,
         join_timeout=join_timeout,
         changes=options.with_respawn(changes, respawn=respawn),
@@ -257,11 +277,14 @@ def _simulate(job: _Job, audience: _Terminal | _Parent) -> int:
         )
         if recorder is not None:
             recorder.vehicles = server.vehicles
+        follow = _Follower(server, recorder, progress)
         try:
-            server.fly(on_tick=_follower(server, recorder, progress))
+            server.fly(on_tick=follow.tick)
         finally:
             _end(job, server, audience)
-    return stop.exit_code
+    if follow.missing:
+        audience.missing(follow.missing)
+    return stop.exit_code or audience.exit_code
 
 
 @contextmanager
@@ -277,22 +300,31 @@ def _recorder(job: _Job) -> "Iterator[FlightRecorder | None]":
         yield one
 
 
-def _follower(
-    server: Server, recorder: "FlightRecorder | None", progress: FlightProgress | _Parent
-) -> Callable[[], None]:
-    """Return a callback that records each tick and shows ten ticks per second."""
-    shown = 0.0
+class _Follower:
+    """Follower of a flight: records each tick and shows ten ticks per second."""
 
-    def on_tick() -> None:
-        nonlocal shown
-        if recorder is not None:
-            recorder.tick(server.flight)
+    def __init__(
+        self,
+        server: Server,
+        recorder: "FlightRecorder | None",
+        progress: FlightProgress | _Parent,
+    ) -> None:
+        self._server, self._recorder, self._progress = server, recorder, progress
+        self._shown = 0.0
+        self.missing: list[str] = []
+        """Vehicles whose process was missing at the last tick."""
+
+    def tick(self) -> None:
+        """Record a tick."""
+        server = self._server
+        if self._recorder is not None:
+            self._recorder.tick(server.flight)
         now = time.monotonic()
-        if now - shown > 0.1 or server.flight.over:
-            shown = now
-            progress.show(server.flight.world.tick)
-
-    return on_tick
+        if now - self._shown > 0.1 or server.flight.over:
+            self._shown = now
+            self._progress.show(server.flight.world.tick)
+        if server.flight.over:
+            self.missing = [name for name, one in server.vehicles().items() if not one.present]
 
 
 def _end(job: _Job, server: Server, audience: _Terminal | _Parent) -> None:
