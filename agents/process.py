@@ -15,9 +15,17 @@ from bus.credentials import Credential
 from bus.errors import BusError, PeerLost, ScenarioError
 from bus.joining import open_session
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, SIMULATOR_NAME, Party, Role
-from bus.messages.vehicle import Command, UavBriefing, UavObservation, UgvBriefing, UgvObservation
+from bus.messages.scenario import Law
+from bus.messages.vehicle import (
+    Command,
+    Detection,
+    UavBriefing,
+    UavObservation,
+    UgvBriefing,
+    UgvObservation,
+)
 from bus.presence import Presence
-from bus.registry import DEFAULT_DRIVER, TELEOP
+from bus.registry import DEFAULT_DRIVER, LAWS, TELEOP
 from bus.session import Envelope, Outbox, Session
 
 if TYPE_CHECKING:
@@ -69,6 +77,8 @@ def uav_maker(
     from agents.uav import UavPilot  # noqa: PLC0415 - slow to import, and a UGV does not need it
 
     def make(briefing: UavBriefing) -> Pilot:
+        if briefing.team is not None:
+            _exercise(briefing)
         own = copy.deepcopy(policy)  # a policy may keep state of its flight
         return UavPilot(
             briefing,
@@ -154,6 +164,34 @@ def warm_up(role: Role, *, inner: "Inner | None" = None) -> None:
             uav.act(
                 msgspec.convert(_observation(tick) | {"detections": [detection]}, UavObservation)
             )
+
+
+_EXERCISE = 8
+"""Ticks of a pilot's exercise: more than the period of its messages."""
+
+
+def _exercise(briefing: UavBriefing) -> None:
+    """Fly a throwaway pilot of a team at rest beside its UGV, until it guards and has sent a message.
+
+    Otherwise its code would be compiled bit by bit, in the ticks that first need it.
+    """
+    from agents.uav import UavPilot  # noqa: PLC0415 - slow to import, and a UGV does not need it
+
+    law = Law() if LAWS[briefing.law.name].own else briefing.law
+    pilot = UavPilot(msgspec.structs.replace(briefing, law=law))
+    place = 0.5 * briefing.area.width, 0.5 * briefing.area.height
+    altitude, endurance = briefing.altitude, briefing.endurance
+    for tick in range(_EXERCISE):
+        seen = UavObservation(
+            tick=tick,
+            time=tick * briefing.dt,
+            position=place,
+            velocity=(0.0, 0.0),
+            altitude=None if altitude is None else altitude.initial_altitude,
+            detections=(Detection(time=tick * briefing.dt, relative_position=(0.1, 0.0)),),
+            charge=None if endurance is None else endurance.endurance,
+        )
+        pilot.act(seen)
 
 
 _LOG = logging.getLogger("outrider.agents")

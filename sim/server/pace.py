@@ -27,6 +27,8 @@ _FIRST_GRACE = 2.0
 """Grace time in the first tick [s]: the launcher of a vehicle that fails at once can still stop the run."""
 _COMPILING = 6.0
 """Deadlines that a vehicle may use for its first command, and after a change of its law or driver: it may compile."""
+_COMPILING_TEAM = 30.0
+"""The same for the first command in a scenario with teams: their UAVs compile much more, all at once."""
 _LATE = 0.5
 """Share of its duration by which a tick may end late without being counted."""
 
@@ -55,6 +57,7 @@ class Lockstep:
         sessions: The vehicles' sessions.
         timing: Deadlines, and whether to wait for disconnected vehicles.
         on_event: Called with one line for the user.
+        teamed: True if the UAVs form teams.
     """
 
     factor: float | None = None
@@ -68,9 +71,12 @@ class Lockstep:
         sessions: Sessions,
         timing: Run,
         on_event: Callable[[str], None],
+        *,
+        teamed: bool = False,
     ) -> None:
         self._session = session
         self._sessions = sessions
+        self._first = _COMPILING_TEAM if teamed else _COMPILING
         self._deadline = timing.deadline
         self._join_timeout = timing.join_timeout
         self._respawn = timing.respawn
@@ -107,8 +113,9 @@ class Lockstep:
     def _limit(self, name: str, observation: Observation) -> float:
         """Return the time limit for a vehicle's command [s]."""
         driven = observation.law if isinstance(observation, UavObservation) else observation.driver
-        compiles = driven is not None or name not in self._due
-        return self._deadline * (_COMPILING if compiles else 1.0)
+        if name not in self._due:
+            return self._deadline * self._first
+        return self._deadline * (_COMPILING if driven is not None else 1.0)
 
     def _await_absent(self, names: Collection[str], now: float) -> None:
         """Wait for vehicles that could not receive this tick's observation, if they may return."""

@@ -54,7 +54,8 @@ class Server:
         def make_pace(factor: float | None) -> Pace:
             if factor is not None:
                 return RealTime(self._sessions, dt=scenario.dt, factor=factor, on_event=on_event)
-            return Lockstep(session, self._sessions, scenario.run, on_event)
+            teamed = scenario.team is not None
+            return Lockstep(session, self._sessions, scenario.run, on_event, teamed=teamed)
 
         self._operators = OperatorControls(
             session, self.flight, make_pace, scenario.run.realtime or None, on_event

@@ -650,6 +650,27 @@ class Checks:
             results.append(f"{name}: {same}")
         return "; ".join(results)
 
+    def team(self) -> str:
+        """A guard and two scouts, each in a container: the same run, with a certified guard throughout."""
+        docker = self.docker
+        own = {
+            "COMPOSE_FILE": "docker-compose.yml:docker-compose.team.example.yml",
+            "OUTRIDER_SCENARIO": "scouts",
+            "OUTRIDER_SECRETS": str(docker.folder / "team-credentials"),
+            "OUTRIDER_DURATION": "60",
+        }
+        docker.compose("run", "--rm", "credentials", **own)
+        try:
+            flown = docker.flown(**own)
+        finally:
+            docker.compose("--profile", "*", "down", "--volumes", limit=90.0, check=False, **own)
+        same = same_flight(flown, docker.reference("60", "scouts"))
+        share = flown["team"]["team_certified_share"]
+        expect(share == 1.0, f"a guard was certified in {share:.1%} of the ticks")
+        for name in ("team_certified_while_lost", "team_certificate_broken"):
+            expect(flown["team"][name] == 0, f"{name} = {flown['team'][name]}")
+        return same
+
     def failure(self) -> str:
         """An invalid scenario ends with the simulator's exit code."""
         done = self.docker.ended("compose", *UP, limit=90.0, OUTRIDER_SCENARIO="no-such-scenario")
