@@ -86,8 +86,8 @@ def draw_teams(out: Path) -> None:
             key=0, scenario=name, network=network, mode=mode, uavs=n, seed=seed,
             mission_time=None, **numbers,
         )
-        for name in ("scouts",)
-        for network in worth.NETWORKS
+        for name, networks in worth.TASKS.items()
+        for network in networks
         for mode in (worth.ALONE, worth.TEAM)
         for n in worth.UAVS
         for seed in (1, 2)
