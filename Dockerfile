@@ -57,7 +57,7 @@ WORKDIR /runs
 # One run compiles everything that the roles need and fills the font cache, so that containers start fast.
 RUN outrider run escort --in-process --duration 1 --out /tmp/flight && rm -r /tmp/flight && \
     outrider run scouts --in-process --duration 3 --no-files && \
-    python -P -c "from agents.process import warm_up; from bus.keys import Role; warm_up(Role.UAV); warm_up(Role.UGV)" && \
+    python -P -c "from agents.warming import warm_up; from bus.keys import Role; warm_up(Role.UAV); warm_up(Role.UGV)" && \
     chmod -R a+rwX /var/cache/outrider
 # A container is healthy if it reaches the router.
 HEALTHCHECK --interval=10s --timeout=3s --start-period=30s --retries=3 CMD ["python", "-P", "-c", "import os, socket; \

@@ -4,7 +4,8 @@ import sys
 import time
 from typing import Any
 
-from agents.process import MakePilot, warm_up
+from agents.process import MakePilot
+from agents.warming import warm_up
 from bus.keys import Role
 from bus.messages.scenario import Origin
 from outrider.cli.joining import Joining

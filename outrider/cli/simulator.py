@@ -34,8 +34,8 @@ from outrider.view.output import write_flight
 from sim.scenario.checks import scenario_warnings
 from sim.scenario.resolved import read_resolved
 from sim.scenario.types import Scenario
-from sim.server.flight import warm_up
 from sim.server.serving import Server
+from sim.server.warming import warm_up
 
 if TYPE_CHECKING:
     from outrider.recording.writer import FlightRecorder

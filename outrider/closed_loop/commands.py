@@ -17,6 +17,7 @@ from agents.safety.control import bare_control, filter_control
 from agents.safety.decision import CERTIFIED, NOMINAL
 from agents.safety.pending import add_plans
 from agents.team.tick import role_accepts, role_carries_plans, role_control, role_filters
+from agents.uav_inputs import UavInputs
 from agents.uav_parameters import Target
 from agents.uav_tick import nominal_control
 from outrider.closed_loop.arrays import (
@@ -62,6 +63,65 @@ class _VehicleRow(NamedTuple):
 
 
 @inlined
+def _filter(
+    state: LoopState,
+    pilots: Pilots,
+    ground: GroundState | None,
+    at: _VehicleRow,
+    inputs: UavInputs,
+    nominal: Acceleration,
+    reports: bool,
+) -> tuple[float, float, float, bool]:
+    """Pass a UAV's nominal acceleration through its safety filter, and write its plans.
+
+    Args:
+        state, pilots, ground, at: As in `_fly`.
+        inputs: State and messages of the UAV.
+        nominal: Nominal acceleration [m/s²].
+        reports: True if the UAV sends a report.
+
+    Returns:
+        Acceleration, x, y and z [m/s²]; whether the filter certifies sight, whether or not the UGV keeps clear.
+    """
+    world, vehicle, uav = at
+    constants, memory = constants_of(pilots.tables, world, uav), memory_of(pilots, world, uav)
+    u_x, u_y, u_z = filter_control(
+        constants.safety, constants.levels, memory.filter, inputs, nominal
+    )
+    decision, tick = memory.filter.decision[0], inputs.tick
+    certified, overridden = decision.reason == CERTIFIED, decision.source != NOMINAL
+    lost = state.rows.standings[world, vehicle].lost
+    clear = _keeps_clear(pilots, ground, world, uav)
+    claim = Claim(certified, reports and overridden, lost, True, clear)
+    monitored = pilots.tables.monitored
+    bounds = monitored[row_of(monitored.shape[0], world), uav]
+    record_decision(bounds, state.certificates[world, uav], tick, claim)
+    _write_plans(state, pilots, at, tick)
+    return u_x, u_y, u_z, certified
+
+
+@inlined
+def _keeps_clear(pilots: Pilots, ground: GroundState | None, world: int, uav: int) -> bool:
+    """Return whether the UAV's UGV keeps the distance from buildings that the filter assumes."""
+    clear = True
+    if ground is not None:
+        ugv = pilots.tables.receivers[uav]
+        clear = keeps_clearance(ground.clearances, ground.missions[world], ugv)
+    return clear
+
+
+@inlined
+def _write_plans(state: LoopState, pilots: Pilots, at: _VehicleRow, tick: int) -> None:
+    """Write the plans of a UAV's command."""
+    world, vehicle, uav = at
+    one = state.batch.vehicles[world, vehicle]
+    constants, memory = constants_of(pilots.tables, world, uav), memory_of(pilots, world, uav)
+    one.outgoing_trajectory, one.outgoing_trajectories = add_plans(
+        constants.safety[0], memory.filter.pending, tick, state.batch.trajectories[world, vehicle]
+    )
+
+
+@inlined
 def _fly(
     tables: LoopTables,
     state: LoopState,
@@ -86,37 +146,15 @@ def _fly(
         u_x, u_y, u_z = action[0], action[1], action[2]
         take_request(pilots.state.teams, world, uav, action[REQUEST])
     u_x, u_y = role_control(constants.team, memory.team, inputs.own, constants.safety, (u_x, u_y))
-    certified, clear = False, True
+    certified, nominal = False, Acceleration(u_x, u_y, u_z)
     if role_filters(memory.team, pilots.tables.filtered[uav] != 0):
-        nominal = Acceleration(u_x, u_y, u_z)
-        u_x, u_y, u_z = filter_control(
-            constants.safety, constants.levels, memory.filter, inputs, nominal
-        )
-        decision = memory.filter.decision[0]
-        certified, overridden = decision.reason == CERTIFIED, decision.source != NOMINAL
         # a pilot without a detection sends no report
         reports = target.known or action_row >= 0
-        if ground is not None:
-            clear = keeps_clearance(
-                ground.clearances, ground.missions[world], pilots.tables.receivers[uav]
-            )
-        claim = Claim(certified, reports and overridden, standing.lost, True, clear)
-        monitored = pilots.tables.monitored
-        bounds = monitored[row_of(monitored.shape[0], world), uav]
-        record_decision(bounds, state.certificates[world, uav], tick, claim)
-        one.outgoing_trajectory, one.outgoing_trajectories = add_plans(
-            constants.safety[0], memory.filter.pending, tick, batch.trajectories[world, vehicle]
-        )
+        u_x, u_y, u_z, certified = _filter(state, pilots, ground, at, inputs, nominal, reports)
     else:
         if role_carries_plans(memory.team, constants.levels, inputs.vertical):
-            nominal = Acceleration(u_x, u_y, u_z)
             u_x, u_y, u_z = bare_control(constants.levels, memory.filter, inputs, nominal)
-            one.outgoing_trajectory, one.outgoing_trajectories = add_plans(
-                constants.safety[0],
-                memory.filter.pending,
-                tick,
-                batch.trajectories[world, vehicle],
-            )
+            _write_plans(state, pilots, at, tick)
         clear_decision(memory.team, memory.filter.decision[0])
     role_accepts(constants.team, memory.team, certified)
     end_command(
@@ -127,7 +165,9 @@ def _fly(
         memory.uav[0],
         memory.coverage,
         (world, uav),
-        Command(tick, inputs.own, certified and clear, standing.lost),
+        Command(
+            tick, inputs.own, certified and _keeps_clear(pilots, ground, world, uav), standing.lost
+        ),
     )
     one.outgoing_tick, one.outgoing[0], one.outgoing[1] = tick, u_x, u_y
     one.vertical.outgoing = u_z

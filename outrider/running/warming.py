@@ -1,10 +1,10 @@
 """Compilation of the code of a flight before its first tick."""
 
-from agents.process import warm_up as warm_up_pilot
+from agents.warming import warm_up as warm_up_pilot
 from bus.keys import Role
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
-from sim.server.flight import warm_up
+from sim.server.warming import warm_up
 
 
 def warm_up_flight(scenario: Scenario | None = None) -> None:

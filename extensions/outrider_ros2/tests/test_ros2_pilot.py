@@ -9,9 +9,10 @@ import pytest
 import zenoh
 
 import staging
-from agents.process import fly, warm_up
+from agents.process import fly
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
+from agents.warming import warm_up
 from bus.credentials import new_credentials
 from bus.errors import PeerLost
 from bus.joining import open_session

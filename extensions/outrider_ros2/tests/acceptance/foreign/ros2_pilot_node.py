@@ -14,9 +14,9 @@ import msgspec
 import zenoh
 import zenoh.ext
 
-from agents.process import warm_up
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
+from agents.warming import warm_up
 from bus.access import client_settings
 from bus.credentials import read_credential
 from bus.keys import Role
