@@ -55,11 +55,12 @@ def test_scenarios_shown_are_valid(tmp_path: Path) -> None:
         (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
         return load_scenario(tmp_path / "mine.toml")
 
-    shown, pairs, hazards, buildings = blocks("toml", "docs/how-to/scenario.md")
+    shown, pairs, laws, hazards, buildings = blocks("toml", "docs/how-to/scenario.md")
     assert loaded(shown).title == "Across the yard"
     assert loaded(f"{shown}\n{hazards}").has_ground
     assert loaded(buildings).has_buildings
     assert [uav.escorts for uav in loaded(pairs).uav] == ["ugv_0", "ugv_1"]
+    assert [loaded(laws).law_of(uav).name for uav in loaded(laws).uav] == ["certified", "lookahead"]
     (robot,) = blocks("toml", "docs/how-to/own-robot.md")
     assert loaded(robot).law.name == "certified"
     (links,) = blocks("toml", "docs/how-to/network.md")

@@ -39,6 +39,7 @@ SETUP: Mapping[str, Any] = {
 
 `duration` [s] is the length of its episodes; it replaces the age of a detection before the first one.
 """
+_WORDS = {2: "two", 3: "three", 4: "four"}
 _AXES = {2: "the acceleration x and y [m/s²]", 3: "the acceleration x, y and z [m/s²]"}
 
 
@@ -157,7 +158,7 @@ class PolicyControl:
         found = finite(answer, (1, count))
         if found is None or max(map(abs, found)) > LARGEST:
             wanted = _AXES[axes] + (", and the request for a role" if self._asks_role else "")
-            allowed = f"{count} finite numbers for each world, here of shape (1, {count}), {wanted}"
+            allowed = f"{_WORDS[count]} finite numbers for each world, here of shape (1, {count}), {wanted}"
             raise self._asked.invalid_answer(tick, answer, allowed)
         self.vertical = found[2] if self._climbs else 0.0
         self.request = asked_role(found[-1]) if self._asks_role else 0

@@ -122,7 +122,7 @@ def _constants(briefings: Sequence[UavBriefing], most_levels: int, in_space: boo
         safety=table("safety", SafetyBounds),
         levels=levels,
         altitude=altitude,
-        team=None if each[0].team is None else table("team", TeamParameters),
+        team=table("team", TeamParameters) if any(one.team is not None for one in each) else None,
     )
 
 

@@ -98,7 +98,7 @@ def team_tables(batch: Batch, uavs: Sequence[str]) -> TeamTables | None:
         uavs: Names of the UAVs, in the order of the tables.
     """
     scenario = batch.scenario
-    if scenario.team is None:
+    if scenario.team is None or not uavs:
         return None
     teams = teams_of(scenario)
     mates = np.full((len(uavs), max(map(len, teams))), -1, np.int64)

@@ -172,6 +172,9 @@ TEAM = _table(
     Metric("separation_violations", "UAVs too near", "ticks", 0,
            "Ticks in which two UAVs with an altitude, of any team, were nearer than `team.separation`.",
            goal=0.0, guaranteed=True, column="int64"),
+    Metric("refused_messages", "refused messages", "", 0,
+           "Messages to a team that the simulator did not send: their receivers rely on what it checks.",
+           goal=0.0, column="int64"),
     Metric("team_traffic", "messages to the team", "B/s", 0,
            "Mean size of the messages that each UAV sends to its team.", column="double"),
 )

@@ -140,7 +140,7 @@ def chart_row(history: ChartData, at: float, age: float | None = 0.05) -> tuple[
     of_age = {"estimate": (0.0, 0.0), "covariance": (1.0, 0.0, 1.0), "age": age, "rejected": 0}
     report = None if age is None else UavReport(**of_age)
     history.add(a_truth(at, a_vehicle(), a_vehicle(), report=report), 1.0, 0.05)
-    return history.newest[-4:-1]
+    return history.newest[-5:-2]
 
 
 def test_chart_row_has_age_recent_loss_and_blackout() -> None:
@@ -178,11 +178,11 @@ def test_seeking_a_recording_shows_its_blackout_in_place(tmp_path: Path) -> None
     hub.update()
     recorded_run.seek(recorded_run.end)
     hub.update()
-    in_blackout = [row[0] for row in hub.history.rows if row[-2]]
+    in_blackout = [row[0] for row in hub.history.rows if row[-3]]
     assert in_blackout
     assert 9.9 <= min(t for t in in_blackout if t is not None) <= 10.6
     assert 14.4 <= max(t for t in in_blackout if t is not None) <= 15.6
-    ages = {row[0]: row[-4] for row in hub.history.rows}
+    ages = {row[0]: row[-5] for row in hub.history.rows}
     assert max(age for age in ages.values() if age is not None) == pytest.approx(5.0, abs=0.2)
 
 

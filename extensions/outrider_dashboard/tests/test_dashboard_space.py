@@ -95,7 +95,7 @@ def test_a_run_with_altitudes_is_shown_in_three_dimensions(shown: Any) -> None:
     assert show(truth(2.0, 3.0, 0.0)) is scene
     assert (uav.z, line.color) == (3.0, LIMIT)
     assert cone.sx == pytest.approx(3.0 * math.tan(town.camera.half_angle))
-    assert [row[-1] for row in hub.history.rows] == [5.5, None]  # hidden
+    assert [row[-2] for row in hub.history.rows] == [5.5, None]  # hidden
 
 
 def test_a_run_in_the_plane_has_no_view_in_three_dimensions(shown: Any) -> None:
