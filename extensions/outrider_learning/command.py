@@ -26,7 +26,7 @@ _Name = Annotated[
     str,
     typer.Option(
         "--suite",
-        help="Select the suite: suite-v1 (coverage), missions-v1 (missions) or towns-v1 (buildings).",
+        help="Select the suite: suite-v1 (coverage), missions-v1, towns-v1 or teams-v1.",
     ),
 ]
 _Only = Annotated[list[str] | None, typer.Option(help="Run only this task (repeatable).")]

@@ -1,5 +1,6 @@
-"""Networks of Stable-Baselines3 as `npz` policies: no code in the file, and no learning library to fly them."""
+"""Trained networks as `npz` policies: no code in the file, and no learning library to fly them."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,29 @@ def save_network(model: Any, file: str | Path, **about: Any) -> None:  # noqa: A
     """
     recipe = observation_recipe(model.get_env())
     layers = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
+    action = model.action_space
+    save_layers(layers, recipe, (action.low.tolist(), action.high.tolist()), file, **about)
+
+
+def save_layers(
+    layers: Sequence[Any],
+    recipe: ObservationRecipe,
+    bounds: tuple[list[float], list[float]],
+    file: str | Path,
+    **about: Any,  # noqa: ANN401 - JSON data
+) -> None:
+    """Save the layers of a PyTorch network and the recipe of its observation, `model.npz`.
+
+    Args:
+        layers: Linear layers with Tanh between them, from the observation to the mean action.
+        recipe: Recipe of the observation, see `observation_recipe`.
+        bounds: Lower and upper bounds of the action, to which the mean is clipped.
+        file: File to write.
+        about: Further entries of the recipe, such as the training.
+
+    Raises:
+        ValueError: If the layers are of another form.
+    """
     kinds = [type(layer).__name__ for layer in layers]
     if kinds != ["Linear", "Tanh"] * (len(kinds) // 2) + ["Linear"]:
         raise ValueError(
@@ -76,20 +100,16 @@ def save_network(model: Any, file: str | Path, **about: Any) -> None:  # noqa: A
     dense = [layer for layer in layers if hasattr(layer, "weight")]
     weights = tuple(layer.weight.detach().numpy().astype(np.float64) for layer in dense)
     biases = tuple(layer.bias.detach().numpy().astype(np.float64) for layer in dense)
-    action = model.action_space
+    low, high = bounds
     save_policy(
         file,
         Mlp(weights, biases),
-        {
-            OBSERVATION: msgspec.to_builtins(recipe),
-            "action": {"low": action.low.tolist(), "high": action.high.tolist()},
-            **about,
-        },
+        {OBSERVATION: msgspec.to_builtins(recipe), "action": {"low": low, "high": high}, **about},
     )
 
 
 def network_policy(network: Mlp, recipe: dict[str, Any]) -> SavedPolicy:
-    """Return the policy of a network and the recipe that `save_network` wrote.
+    """Return the policy of a network and the recipe that `save_network` or `save_layers` wrote.
 
     Raises:
         ValueError: If the recipe is not valid, or does not fit the network.
@@ -112,7 +132,7 @@ def network_policy(network: Mlp, recipe: dict[str, Any]) -> SavedPolicy:
 
 
 def load_npz_policy(rest: str, where: str) -> SavedPolicy | LearnedPolicy:
-    """Load `FILE.npz` of `save_network` or `examples/train_uav.py`; `where` names field and value in errors.
+    """Load `FILE.npz` of `save_layers` or `examples/train_uav.py`; `where` names field and value in errors.
 
     Raises:
         ScenarioError: If the file is missing or is not such a policy.

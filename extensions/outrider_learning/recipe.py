@@ -119,12 +119,17 @@ def checked_recipe(recipe: ObservationRecipe) -> ObservationRecipe:
     return recipe
 
 
-def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of several ecosystems
+def observation_recipe(
+    env: Any,  # noqa: ANN401 - of several ecosystems
+    agent: str | None = None,
+) -> ObservationRecipe:
     """Return the recipe of a UAV's observations in an environment with all its wrappers.
 
     Args:
         env: `outrider.vector_env` or `outrider.single_env`, or a `VecEnv` of Stable-Baselines3 around them. Supported
-            wrappers: `Transformed`, `ActionRepeat`, `VecEnvAdapter`, `VecNormalize` and wrappers without effect.
+            wrappers: `Transformed`, `ActionRepeat`, `VecEnvAdapter`, `VecNormalize` and wrappers without effect. With
+            `agent` also `outrider.parallel_vector_env` and `OutriderTorchEnv`.
+        agent: UAV whose observation it is; None: the environment's own agent.
 
     Raises:
         ValueError: If a wrapper cannot be saved with a policy, or the agent is not a UAV.
@@ -134,10 +139,11 @@ def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of seve
         layer, inside = _taken_off(env)
         layers = [*([] if layer is None else [layer]), *layers]
         env = inside
-    scenario, options = env.worlds.scenario, env.worlds.settings.of_agent(env.agent)
-    uav = next((one for one in scenario.vehicles if one.name == env.agent), None)
+    agent = env.agent if agent is None else agent
+    scenario, options = env.worlds.scenario, env.worlds.settings.of_agent(agent)
+    uav = next((one for one in scenario.vehicles if one.name == agent), None)
     if not isinstance(uav, Uav):
-        raise ValueError(f"agent = {env.agent!r}: not a UAV; allowed: a UAV")
+        raise ValueError(f"agent = {agent!r}: not a UAV; allowed: a UAV")
     patch = options.coverage_patch
     given = NEEDED if uav.initial_altitude is None else NEEDED | HIGHER
     return ObservationRecipe(
@@ -201,6 +207,8 @@ def _taken_off(env: Any) -> tuple[dict[str, Any] | None, Any]:  # noqa: ANN401
         return {"kind": _kind_of(type(one)), **settings}, env.env
     if isinstance(env, ActionRepeat):
         return {"kind": _REPEAT, "ticks": env.ticks}, env.env
+    if name == "OutriderTorchEnv":
+        return {"kind": _REPEAT, "ticks": env.repeat}, env.inner
     if name == "VecNormalize" and not env.norm_obs:
         return None, env.venv
     if name == "VecNormalize" and not isinstance(env.obs_rms, dict):
@@ -213,8 +221,8 @@ def _taken_off(env: Any) -> tuple[dict[str, Any] | None, Any]:  # noqa: ANN401
         if name in names:
             return None, getattr(env, attribute)
     raise ValueError(
-        f"{name}: cannot be saved with a policy; allowed: Transformed, ActionRepeat, "
-        f"VecEnvAdapter, DummyVecEnv, VecNormalize of rows, and wrappers without effect on observations and actions"
+        f"{name}: cannot be saved with a policy; allowed: Transformed, ActionRepeat, OutriderTorchEnv, VecEnvAdapter, "
+        "DummyVecEnv, VecNormalize of rows, and wrappers without effect on observations and actions"
     )
 
 

@@ -92,6 +92,7 @@ class SavedPolicy:
         whole = uav_table(altitude=recipe.altitude, gradient=recipe.gradient, mates=recipe.mates)
         kept = names(without(whole, recipe.omit))
         self._columns = [k for k, name in enumerate(names(whole)) if name in kept]
+        self._ages = [k for k, name in enumerate(names(whole)) if "age" in name.split("_")]
         # The policy drops the entries itself: it needs the time to recognize the start of an episode.
         self._shapes = _shapes(msgspec.structs.replace(recipe, omit=()).space())
         for layer in self._layers:
@@ -190,7 +191,8 @@ class SavedPolicy:
             self._worlds, starting = len(row), np.ones(len(row), dtype=np.bool_)
         if self._flown is not None and self._flown != self._recipe.length:
             row = row.copy()
-            row[row[:, _AGE] == self._flown, _AGE] = self._recipe.length
+            ages = row[:, self._ages]
+            row[:, self._ages] = np.where(ages == self._flown, self._recipe.length, ages)
         time, row = float(row[:, _TIME].max()), row[:, self._columns]
         shown = observation | {"row": row} if isinstance(observation, dict) else row
         return self._act(0, shown, starting, time)
@@ -232,7 +234,7 @@ class SavedPolicy:
         return layer.last.copy()
 
 
-_TIME, _AGE = names(UAV).index("time"), names(UAV).index("age")
+_TIME = names(UAV).index("time")
 
 
 def _shapes(space: spaces.Space[Any]) -> Any:  # noqa: ANN401

@@ -145,7 +145,8 @@ def print_board(board: Leaderboard, *, markdown: bool, json: bool) -> None:
 
 def _table(board: Leaderboard) -> Table:
     measure = "Mission score" if board.mission else "Covered share of the ground"
-    title = f"{measure} [%], mean of {len(board.standings[0].results[0].scores)} seeds"
+    measure += " [%]" + (" and mean e(t)" if board.team else "")
+    title = f"{measure}, mean of {len(board.standings[0].results[0].scores)} seeds"
     table = Table(
         title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
     )
@@ -153,15 +154,17 @@ def _table(board: Leaderboard) -> Table:
     for standing in board.standings:
         table.add_column(standing.entry, justify="right")
     for k, task in enumerate(board.tasks):
-        cells = (_cell(standing.results[k]) for standing in board.standings)
+        cells = (_cell(standing.results[k], error=board.team) for standing in board.standings)
         table.add_row(task, *cells, end_section=k == len(board.tasks) - 1)
     table.add_row("mean", *map(_cell, board.standings), style="bold")
     table.add_row("interquartile mean", *map(middle_cell, board.standings), style="bold")
     return table
 
 
-def _cell(result: Result | Standing) -> Text:
+def _cell(result: Result | Standing, *, error: bool = False) -> Text:
     score = f"{result.score:.1f}"
+    if error and isinstance(result, Result):
+        score += f"\n{result.mean_error:.1f} m²"
     return Text.assemble(score, (f"\n{result.lost} lost", "red")) if result.lost else Text(score)
 
 

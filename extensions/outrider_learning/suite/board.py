@@ -56,17 +56,20 @@ class Leaderboard:
     """Standings, best first."""
     mission: bool
     """True if the tasks are missions."""
+    team: bool
+    """True if teams fly the tasks: the table shows the mean e(t), too."""
     secret: str
     """Secret of all random numbers; with the seeds it reproduces the table."""
 
     def rows(self) -> list[list[str]]:
         """Return the table: a head, one row per task and one for the mean; one column per entry.
 
+        The mean e(t) [m²] follows the score of a team.
         Missions add a row for the interquartile mean, because an entry may fail some of them.
         """
         table = [["task", *(standing.entry for standing in self.standings)]]
         table += [
-            [task, *(_cell(standing.results[k]) for standing in self.standings)]
+            [task, *(_cell(standing.results[k], error=self.team) for standing in self.standings)]
             for k, task in enumerate(self.tasks)
         ]
         table.append(["**mean**", *(_cell(standing) for standing in self.standings)])
@@ -81,10 +84,11 @@ class Leaderboard:
         return "".join(f"| {' | '.join(row)} |\n" for row in (head, rule, *body))
 
 
-def _cell(result: Result | Standing) -> str:
+def _cell(result: Result | Standing, *, error: bool = False) -> str:
     half, lost = 0.5 * (result.high - result.low), f" ({result.lost} lost)" if result.lost else ""
     about = "" if math.isnan(half) else f" ± {half:.1f}"
-    return f"{result.score:.1f}{about}{lost}"
+    left = f", {result.mean_error:.1f} m²" if error and isinstance(result, Result) else ""
+    return f"{result.score:.1f}{about}{left}{lost}"
 
 
 def middle_cell(standing: Standing) -> str:
@@ -191,6 +195,7 @@ def leaderboard(
     return Leaderboard(
         tasks=flown.names,
         mission=flown[0].mission,
+        team=any(task.team for task in flown),
         standings=tuple(sorted(standings, key=lambda standing: -standing.score)),
         secret=kept,
     )

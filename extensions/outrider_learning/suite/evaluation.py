@@ -122,7 +122,8 @@ def evaluate(
     $$ S = \frac{100}{N + 1} \sum_{k < k_{lost}} \left( 1 - \frac{e(t_k)}{e_0(t_k)} \right) $$
 
     e is the paper's (4), and e_0 is its value at the same tick without any coverage. N is the number of ticks of the
-    task, and k_lost the tick at which any UAV, or all UAVs of a team, lose sight: later ticks score zero.
+    task, and k_lost the tick at which any UAV loses sight: later ticks score zero. A team loses sight when none of its
+    UAVs sees the UGV; then the whole episode scores zero.
 
     Args:
         task: Task to run.
@@ -166,7 +167,8 @@ def evaluate(
     with started_worlds(scenario, dict.fromkeys(uavs, entry), seeds, own, settings) as worlds:
         meter = _fly(worlds)
         flown = {uav: worlds.loop.metrics(uav) for uav in worlds.loop.uavs}
-    scores = (100.0 * meter.seen / (scenario.ticks + 1)).tolist()
+    counted = np.where(meter.in_sight, meter.seen, 0.0) if task.team else meter.seen
+    scores = (100.0 * counted / (scenario.ticks + 1)).tolist()
     return result_of(
         Result,
         task,

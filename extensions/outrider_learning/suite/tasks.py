@@ -52,6 +52,11 @@ class Task:
         )
 
     @property
+    def team(self) -> bool:
+        """Return True if teams fly the task: its score has a rule of its own."""
+        return self.scenario.team is not None
+
+    @property
     def env_id(self) -> str:
         """Return the task's Gymnasium ID."""
         return f"outrider/Suite-{''.join(part.capitalize() for part in self.name.split('-'))}-v0"
@@ -257,6 +262,40 @@ TOWNS: tuple[Task, ...] = tuple(
 """Buildings, seen by a UAV that has an altitude; the score is the covered share, as in `suite-v1`."""
 
 
+_BANDS = [
+    {
+        "position": [3.0 + 0.5 * k, 4.0],
+        "min_altitude": lowest,
+        "initial_altitude": lowest + 1.0,
+        "max_altitude": lowest + 2.0,
+    }
+    for k, lowest in enumerate((12.0, 16.0, 20.0))
+]
+"""Altitudes that keep three UAVs 2 m apart."""
+
+TEAMS: tuple[Task, ...] = (
+    Task(
+        name="scouts",
+        hard="a guard and two scouts, whose messages pass over poor Wi-Fi",
+        changes={"area.cell": 0.5},
+        base="scouts",
+    ),
+    Task(
+        name="relay",
+        hard="three UAVs with charge for five minutes relieve one another for ten",
+        changes={"area.cell": 0.5, "duration": 600.0},
+        base="relay",
+    ),
+    Task(
+        name="team-town",
+        hard="a guard and two scouts at separate altitudes over a town, other blocks for each seed",
+        changes={"area.cell": 0.5, "team": {}, "uav": _BANDS},
+        base="town",
+    ),
+)
+"""Teams of UAVs; the score is the covered share, and 0 for an episode in which the team loses sight."""
+
+
 class Suite(tuple[Task, ...]):
     """Tasks by index or by name."""
 
@@ -288,10 +327,12 @@ class Suite(tuple[Task, ...]):
 
 
 SUITE, MISSION_SUITE, TOWN_SUITE = "suite-v1", "missions-v1", "towns-v1"
+TEAM_SUITE = "teams-v1"
 SUITES: Mapping[str, tuple[Task, ...]] = {
     SUITE: TASKS,
     MISSION_SUITE: MISSIONS,
     TOWN_SUITE: TOWNS,
+    TEAM_SUITE: TEAMS,
 }
 """Suites by name. A numbered suite never changes; changes go into the next one."""
 

@@ -208,6 +208,7 @@ def fingerprint(tasks: Sequence[Task]) -> str:
 FROZEN = {
     "suite-v1": "d0af2ce7d7aac54ce8337002c49277a6efeb50b511e506be4410a321df4e8ec7",
     "missions-v1": "4c13e27984ee0daf66b574bcb8657067646305e9f6ab26b8081ee14998987994",
+    "teams-v1": "672903a624e7aad37f75a75f0003e000457634c90e7d53e137a75a803766f4a9",
     "towns-v1": "f8fbae8b617ca7b6d0a1af2a328a2db16c6334eacc2b581b14ffd10fc29478a5",
 }
 
