@@ -122,12 +122,29 @@ class Critic(nn.Module):
 
 
 class Learner:
-    """Actor, critic, loss and optimizer of one group."""
+    """Actor, critic, loss and optimizer of one group.
 
-    def __init__(self, env: PettingZooWrapper, group: str) -> None:
+    Args:
+        env: Environment.
+        group: Its group.
+        actor: Policy of the group; default: `make_actor`.
+        critic: Module that writes the group's `state_value`; default: `Critic` on the state.
+        discount: Discount of the next step's value.
+    """
+
+    def __init__(
+        self,
+        env: PettingZooWrapper,
+        group: str,
+        *,
+        actor: ProbabilisticActor | None = None,
+        critic: TensorDictModule | None = None,
+        discount: float = DISCOUNT,
+    ) -> None:
         self.group = group
-        self.actor = make_actor(env, group)
-        critic = TensorDictModule(Critic(env, group), ["state"], [(group, "state_value")])
+        self.actor = make_actor(env, group) if actor is None else actor
+        if critic is None:
+            critic = TensorDictModule(Critic(env, group), ["state"], [(group, "state_value")])
         keys = {
             "advantage": (group, "advantage"),
             "value_target": (group, "value_target"),
@@ -138,7 +155,7 @@ class Learner:
         }
         # Only `terminated` removes the value of the last state; a truncated episode or batch keeps it. The last state
         # is the episode's own, because Collector resets only after it.
-        self.advantages = GAE(gamma=DISCOUNT, lmbda=TRACE, value_network=critic)
+        self.advantages = GAE(gamma=discount, lmbda=TRACE, value_network=critic)
         self.advantages.set_keys(**keys)
         self.loss = ClipPPOLoss(self.actor, critic, entropy_coeff=1e-3, normalize_advantage=True)
         self.loss.set_keys(**keys, action=(group, "action"), sample_log_prob=(group, "log_prob"))

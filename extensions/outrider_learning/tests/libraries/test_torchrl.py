@@ -260,3 +260,40 @@ def test_mappo_in_many_worlds_learns_and_is_scored(tmp_path):
     assert "1920 steps" in done.stdout
     assert "sight lost in 0 of 1 episodes" in done.stdout
     assert torch.load(tmp_path / "out" / "policies.pt", weights_only=True).keys() == {"uav", "ugv"}
+
+
+@pytest.mark.parametrize("algorithm", ["mappo", "ippo"])
+def test_a_team_learns_and_its_policy_flies(algorithm, tmp_path):
+    """The saved network acts as the actor's mean, in the worlds of the training."""
+    options = f"--algorithm {algorithm} --steps 1 --seed 3 --out out"
+    done = run_example(EXAMPLES / "train_team.py", options, tmp_path)
+    file = tmp_path / "out" / f"{algorithm}-scouts-3.npz"
+    points = file.with_suffix(".csv").read_text().splitlines()
+    assert points[0] == "decisions,minutes,score,mean_error"
+    assert [int(line.split(",")[0]) for line in points[1:]] == [0, 1600]
+    assert "1600 decisions" in done.stdout
+    policy = outrider.load_policy(f"npz:{file}")
+    env = outrider.parallel_vector_env("scouts", num_envs=2, agents=["uav_1"], **policy.setup)
+    seen, _ = env.reset(seed=1)
+    assert np.abs(policy(seen["uav_1"])).max() <= 0.3
+    env.close()
+
+
+def test_the_saved_network_of_a_team_is_the_actors_mean(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    example = runpy.run_path(str(EXAMPLES / "train_team.py"))
+    torch.manual_seed(0)
+    env = example["make_env"](example["TEAMS"][0], 2)
+    team = example["Team"](env, "ippo")
+    team.save(tmp_path / "team.npz")
+    policy = outrider.load_policy(f"npz:{tmp_path / 'team.npz'}")
+    env.set_seed(5)
+    frame = env.reset()
+    rows = frame["uav", "observation"]
+    with torch.no_grad():
+        expected = team.learner.actor.get_dist(frame).mean[:, 0].numpy()
+    whole = np.zeros((2, rows.shape[-1] + 3), np.float64)  # with time and position
+    whole[:, 3:] = rows[:, 0]
+    np.testing.assert_allclose(policy(whole), expected, rtol=1e-4, atol=1e-6)
+    assert np.abs(expected).max() > 1e-4
+    env.close()
