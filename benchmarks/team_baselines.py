@@ -19,6 +19,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+import numpy as np
 from markdown_tables import head
 
 from outrider.experiments.intervals import mean_interval
@@ -158,19 +159,19 @@ def draw(out: Path) -> None:
                     alpha=0.5,
                 )
             if curves:
-                errors = zip(*(one["mean_error"] for one in curves), strict=True)
-                mean = [fmean(points) for points in errors]
+                points = np.unique([done for one in curves for done in one["decisions"]])
+                errors = [np.interp(points, one["decisions"], one["mean_error"]) for one in curves]
+                mean = np.mean(errors, axis=0)
                 name = f"{ALGORITHMS[algorithm]}, mean of {len(curves)} seeds"
-                axes.plot(
-                    curves[0]["decisions"], mean, color=TINTS[algorithm], linewidth=2.4, label=name
-                )
+                axes.plot(points, mean, color=TINTS[algorithm], linewidth=2.4, label=name)
         axes.set_yscale("log")
         axes.set_yticks([20, 50, 100, 200], labels=["20", "50", "100", "200"])
+        axes.minorticks_off()
         axes.set_xlim(left=0.0)
         axes.set_xlabel("decisions in training, one per world and 0.5 s")
         axes.set_ylabel("mean e(t) [m²], log scale")
         axes.set_title("Uncovered ground in validation flights of scouts")
-        axes.legend(loc="upper right")
+        axes.legend(loc="lower left")
         save(figure, PICTURE)
 
 

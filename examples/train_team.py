@@ -163,8 +163,7 @@ def train(
     for frames in collector:
         done += frames.numel()
         paid = frames["next", GROUP, "reward"].mean().item()
-        share = min(1.0, max(spent / seconds, done / steps))
-        team.update(frames, RATE * max(LAST_RATE, 1.0 - share))
+        team.update(frames, RATE * max(LAST_RATE, 1.0 - done / steps))
         spent += time.monotonic() - started
         print(f"{done:>8} decisions  {spent:5.0f} s  reward {paid:+.4f}", flush=True)
         yield done, spent
@@ -180,7 +179,7 @@ def main() -> None:
     names = [task.name for task in TEAMS]
     parser.add_argument("--task", choices=names, default=names[0], help="Task of `teams-v1`.")
     parser.add_argument("--seed", type=int, default=0, help="Seed of worlds and networks.")
-    parser.add_argument("--minutes", type=float, default=60.0, help="Longest training time [min].")
+    parser.add_argument("--minutes", type=float, default=60.0, help="Stop after this time [min].")
     parser.add_argument(
         "--steps", type=int, default=48_000, help="Decisions of half a second in all worlds."
     )
@@ -215,7 +214,7 @@ def main() -> None:
 
         record(0, 0.0)
         for done, spent in train(team, env, seconds=seconds, steps=given.steps):
-            share = min(1.0, max(spent / seconds, done / given.steps))
+            share = 1.0 if spent >= seconds else min(1.0, done / given.steps)
             if int(CHECKPOINTS * share) > passed:
                 passed = int(CHECKPOINTS * share)
                 record(done, spent)
