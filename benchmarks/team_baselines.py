@@ -171,7 +171,7 @@ def draw(out: Path) -> None:
         axes.set_xlabel("decisions in training, one per world and 0.5 s")
         axes.set_ylabel("mean e(t) [m²], log scale")
         axes.set_title("Uncovered ground in validation flights of scouts")
-        axes.legend(loc="lower left")
+        axes.legend(loc="center right", bbox_to_anchor=(1.0, 0.62))
         save(figure, PICTURE)
 
 
