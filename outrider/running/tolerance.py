@@ -294,12 +294,12 @@ class Verdict(NamedTuple):
     @property
     def lines(self) -> tuple[str, ...]:
         """Verdict for people, a line for each change."""
-        higher = f"; noise up to {self.noise:.3g} m, {self.noise_factor:.3g} times detections.noise"
+        higher = f", noise up to {self.noise:.3g} m, {self.noise_factor:.3g} times detections.noise"
         noisy = higher if self.noise_factor > 1.0 else ""
         if self.r_cert is None:
             cures = "one of these changes would do:" if self.changes else "no single change helps"
             return (
-                f"sight cannot be certified; {cures}{noisy}",
+                f"sight cannot be certified{noisy}; {cures}",
                 *(f"  {one.line}" for one in self.changes),
             )
         old = (
@@ -308,7 +308,7 @@ class Verdict(NamedTuple):
             else f", measurements up to {at_most(self.largest_age, 4)} s old"
         )
         room = f"r_cert {self.r_cert:.3g} m of {self.radius:.3g} m"
-        return (f"sight can {self.certifiable} be certified ({room}{old}){noisy}",)
+        return (f"sight can {self.certifiable} be certified ({room}{old}{noisy})",)
 
 
 def verdict(scenario: Scenario, uav: Uav) -> Verdict:
