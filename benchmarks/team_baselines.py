@@ -138,7 +138,7 @@ def curve(policy: Path) -> dict[str, list[float]]:
     return {key: [float(row[key]) for row in rows] for key in rows[0]}
 
 
-def draw(out: Path) -> None:
+def draw(out: Path, picture: Path = PICTURE) -> None:
     """Draw the learning curves: a thin line for each seed, and the mean of each algorithm."""
     with plot_style():
         figure = new_figure(980, 520)
@@ -162,7 +162,7 @@ def draw(out: Path) -> None:
                 points = np.unique([done for one in curves for done in one["decisions"]])
                 errors = [np.interp(points, one["decisions"], one["mean_error"]) for one in curves]
                 mean = np.mean(errors, axis=0)
-                name = f"{ALGORITHMS[algorithm]}, mean of {len(curves)} seeds"
+                name = f"{ALGORITHMS[algorithm]}, mean of the seeds"
                 axes.plot(points, mean, color=TINTS[algorithm], linewidth=2.4, label=name)
         axes.set_yscale("log")
         axes.set_yticks([20, 50, 100, 200], labels=["20", "50", "100", "200"])
@@ -172,7 +172,7 @@ def draw(out: Path) -> None:
         axes.set_ylabel("mean e(t) [m²], log scale")
         axes.set_title("Uncovered ground in validation flights of scouts")
         axes.legend(loc="center right", bbox_to_anchor=(1.0, 0.62))
-        save(figure, PICTURE)
+        save(figure, picture)
 
 
 def publish(out: Path) -> None:

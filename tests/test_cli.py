@@ -5,6 +5,7 @@ import os
 import re
 import sys
 from importlib.metadata import PackageNotFoundError
+from typing import Any
 
 import pytest
 
@@ -286,11 +287,14 @@ def test_a_run_leaves_its_files_and_prints_one_json_object(tmp_path, command):
 
 
 def test_lists_are_printed_as_json(command):
-    def json_of(arguments: str) -> dict[str, object]:
+    def json_of(arguments: str) -> dict[str, Any]:
         return json.loads(command(*words(arguments), "--json").stdout)
 
     assert json_of("scenarios")["scenarios"][0]["name"] == "escort"
     checked = json_of("check escort")
+    verdict = checked.pop("verdicts")["uav_0"]
+    assert (verdict["certifiable"], verdict["changes"]) == ("always", [])
+    assert verdict["r_cert"] < verdict["radius"] < 4.75
     valid = {"scenario": "escort", "valid": True, "certifiable": "always", "warnings": []}
     assert checked == valid
 

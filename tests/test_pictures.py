@@ -95,6 +95,18 @@ def draw_teams(out: Path) -> None:
     worth.draw(rows, out)
 
 
+def draw_team_baselines(out: Path) -> None:
+    baselines = importlib.import_module("team_baselines")
+    trained = out.parent / "trained"
+    trained.mkdir()
+    for law in baselines.LAWS:
+        (trained / f"{law}-in-scouts.json").write_text('{"error": 40.0}')
+    for _, _, policy in baselines.jobs(trained):
+        policy.touch()
+        policy.with_suffix(".csv").write_text("decisions,mean_error\n0,250\n48000,40\n")
+    baselines.draw(trained, out)
+
+
 def draw_learning_curve(out: Path) -> None:
     policy = ROOT / "examples" / "policies" / "uav_ppo.npz"
     importlib.import_module("curve").draw_curve(policy, out, laws=())
@@ -139,6 +151,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "docs/explanation/robustness/violations.png": draw_sweeps("violations", "network"),
     "docs/how-to/learning-curve.png": draw_learning_curve,
     "docs/how-to/measured-network.png": draw_network,
+    "docs/how-to/team-baselines.png": draw_team_baselines,
 }
 """Published pictures, each with a function that draws the same picture from little data."""
 

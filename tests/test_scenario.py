@@ -185,9 +185,12 @@ def test_numbers_survive_exactly(number: float, seed: int, point: tuple[float, f
 
 def test_the_acceleration_that_the_refusal_names_is_enough() -> None:
     near = ["visibility.radius=1.0", "uav.0.position=[7.0, 8.5]"]
-    least = float(refusal(overrides=near).rpartition("allowed: above ")[2].removesuffix(" m/s²"))
+    said = refusal(overrides=near).rpartition("allowed: above ")[2]
+    least, most = (float(part.split()[0]) for part in said.split(", or uav.0.max_speed below "))
     assert load_scenario("escort", overrides=[*near, f"uav.0.max_acceleration={least * 1.001}"])
     refusal(overrides=[*near, f"uav.0.max_acceleration={least * 0.999}"])
+    assert load_scenario("escort", overrides=[*near, f"uav.0.max_speed={most * 0.999}"])
+    refusal(overrides=[*near, f"uav.0.max_speed={most * 1.001}"])
 
 
 @given(*[st.floats(-6.0, 6.0)] * 4)
