@@ -30,7 +30,7 @@ from sim.scenario.team import lowest_sight
 from sim.scenario.types import Scenario, altitude_limits
 from sim.server.flight import Flight
 from sim.world import World
-from test_teams import assert_guaranteed, guards_of, mortal, status_of
+from test_teams import assert_guaranteed, assert_taken_over, mortal, status_of
 
 ROOF = 3.0
 LOW = {
@@ -149,19 +149,7 @@ def test_scouts_that_dive_stay_above_the_roofs_of_a_town() -> None:
 
 def test_a_scout_above_a_town_takes_over_from_a_dead_guard() -> None:
     flight = Flight(town(40.0, law__name="certified"), 3)
-    dead: list[str] = []
-
-    def dies(tick: int) -> list[str]:
-        if tick == 300:
-            dead.extend(guards_of(flight)[:1])
-            return dead
-        return []
-
-    flight.fly(mortal(flight, dies, absent=10_000))
-    assert_guaranteed(flight)
-    first, *_ = guards_of(flight)
-    assert first not in dead
-    assert status_of(flight).handovers == 1
+    assert_taken_over(flight)
     assert_apart_and_above(flight)
 
 

@@ -138,8 +138,8 @@ def test_two_guards_tolerate_the_death_of_one() -> None:
     assert status.team_certified_share > 0.999
 
 
-def test_a_scout_takes_over_from_a_dead_guard() -> None:
-    flight = Flight(team(40.0), 3)
+def assert_taken_over(flight: Flight) -> None:
+    """Fly, let the guard die for good at tick 300, and check that a scout has taken over."""
     dead: list[str] = []
 
     def dies(tick: int) -> list[str]:
@@ -153,6 +153,10 @@ def test_a_scout_takes_over_from_a_dead_guard() -> None:
     first, *_ = guards_of(flight)
     assert first not in dead
     assert status_of(flight).handovers == 1
+
+
+def test_a_scout_takes_over_from_a_dead_guard() -> None:
+    assert_taken_over(Flight(team(40.0), 3))
 
 
 def test_a_rejoined_guard_guards_again_before_it_scouts() -> None:

@@ -60,7 +60,7 @@ _Decoded = TypeVar("_Decoded")
 
 
 class TeamPart(Message, frozen=True, kw_only=True):
-    """What a UAV of a team receives in a step, as in `UavObservation`."""
+    """Input of a UAV of a team in a step: the team's fields of `UavObservation`."""
 
     number: Tick = 0
     charge: NonNegative | None = None
@@ -69,7 +69,7 @@ class TeamPart(Message, frozen=True, kw_only=True):
 
 
 class TeamCommand(Message, frozen=True, kw_only=True):
-    """What it sends, as in `UavCommand`."""
+    """Output of a UAV of a team in a step: the team's fields of `UavCommand`."""
 
     number: Tick = 0
     team: TeamMessage | None = None

@@ -1,4 +1,4 @@
-"""Network budget of a scenario: what its vehicles tolerate, what its links do, and how much worse they may be."""
+"""Network budget of a scenario: tolerance of its vehicles, needs of its links, and how much worse links may be."""
 
 import functools
 import math
@@ -56,7 +56,7 @@ class BoundRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LinkRow(msgspec.Struct, frozen=True, kw_only=True):
-    """How much worse one property of a link may be, its others unchanged."""
+    """Largest value of one property of a link, its others unchanged."""
 
     uav: str
     link: str

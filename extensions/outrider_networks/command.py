@@ -1,12 +1,15 @@
 """`outrider network`: recorded links, and bounds that links satisfy."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from outrider.cli import options
 from outrider.cli.options import Json
+
+if TYPE_CHECKING:
+    from sim.scenario.types import Scenario
 
 app = typer.Typer(invoke_without_command=True, add_completion=False, rich_markup_mode=None)
 
@@ -54,6 +57,20 @@ def fit(
     print_fit(file, out, rate=rate, message_bytes=message_bytes, json=json)
 
 
+def _resolved(
+    source: str,
+    changes: list[str] | None,
+    duration: float | None,
+    law: str | None,
+    network: str,
+) -> "Scenario":
+    """Return the scenario with the options of a command applied."""
+    from outrider.running.resolve import resolve  # noqa: PLC0415 - the compiler
+
+    found, _ = resolve(source, changes=changes, duration=duration, law=law, network=network)
+    return found
+
+
 @app.command()
 def chances(
     scenario: options.ScenarioName,
@@ -72,7 +89,7 @@ def chances(
     """
     from outrider_networks.work import print_chances  # noqa: PLC0415 - the compiler
 
-    print_chances(scenario, changes=changes, duration=duration, law=law, network=network, json=json)
+    print_chances(_resolved(scenario, changes, duration, law, network), json=json)
 
 
 @app.command()
@@ -99,15 +116,7 @@ def budget(
     """
     from outrider_networks.work import print_budget  # noqa: PLC0415 - the compiler
 
-    print_budget(
-        scenario,
-        risk,
-        changes=changes,
-        duration=duration,
-        law=law,
-        network=network,
-        json=json,
-    )
+    print_budget(_resolved(scenario, changes, duration, law, network), risk, json=json)
 
 
 @app.command()
@@ -131,12 +140,4 @@ def bounds(
     """
     from outrider_networks.work import print_bounds  # noqa: PLC0415 - the compiler
 
-    print_bounds(
-        scenario,
-        risk,
-        changes=changes,
-        duration=duration,
-        law=law,
-        network=network,
-        json=json,
-    )
+    print_bounds(_resolved(scenario, changes, duration, law, network), risk, json=json)

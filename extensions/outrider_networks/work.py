@@ -9,12 +9,12 @@ from rich.text import Text
 from bus.errors import ScenarioError
 from bus.numbers import exact
 from outrider.cli.console import ERR, OUT, print_json, print_table, print_warnings
-from outrider.running.resolve import resolve
 from outrider_networks.budget import budget
 from outrider_networks.fitting import Fit, fit_link
 from outrider_networks.scenario_bounds import bounds_for, exceedance, in_runs
 from sim.input.faults import one_line
 from sim.scenario.recordings import read_link
+from sim.scenario.types import Scenario
 
 
 def print_fit(file: Path, out: Path | None, *, rate: float, message_bytes: int, json: bool) -> None:
@@ -36,18 +36,19 @@ def print_fit(file: Path, out: Path | None, *, rate: float, message_bytes: int, 
         OUT.tell(str(out))
 
 
-def print_chances(
-    scenario: str,
-    *,
-    changes: list[str] | None,
-    duration: float | None,
-    law: str | None,
-    network: str,
-    json: bool,
-) -> None:
+def _check_risk(risk: float) -> None:
+    """Check a probability.
+
+    Raises:
+        ScenarioError: If it is not between 0 and 1.
+    """
+    if not 0.0 < risk < 1.0:
+        raise ScenarioError(f"--risk {exact(risk)}: out of range; allowed: above 0 and below 1")
+
+
+def print_chances(scenario: Scenario, *, json: bool) -> None:
     """Print the probabilities that a run exceeds its declared bounds."""
-    loaded, _ = resolve(scenario, changes=changes, duration=duration, law=law, network=network)
-    found = exceedance(loaded)
+    found = exceedance(scenario)
     if json:
         print_json(found)
         return
@@ -61,21 +62,10 @@ def print_chances(
     OUT.tell(f"\ncertified visibility {kept}")
 
 
-def print_bounds(
-    scenario: str,
-    risk: float,
-    *,
-    changes: list[str] | None,
-    duration: float | None,
-    law: str | None,
-    network: str,
-    json: bool,
-) -> None:
+def print_bounds(scenario: Scenario, risk: float, *, json: bool) -> None:
     """Print the smallest bounds for a risk."""
-    if not 0.0 < risk < 1.0:
-        raise ScenarioError(f"--risk {exact(risk)}: out of range; allowed: above 0 and below 1")
-    loaded, _ = resolve(scenario, changes=changes, duration=duration, law=law, network=network)
-    found = bounds_for(loaded, risk)
+    _check_risk(risk)
+    found = bounds_for(scenario, risk)
     if json:
         print_json(found)
         return
@@ -83,22 +73,11 @@ def print_bounds(
         OUT.tell(f"--set {field}={value!r}")
 
 
-def print_budget(
-    scenario: str,
-    risk: float,
-    *,
-    changes: list[str] | None,
-    duration: float | None,
-    law: str | None,
-    network: str,
-    json: bool,
-) -> None:
+def print_budget(scenario: Scenario, risk: float, *, json: bool) -> None:
     """Print the network budget of a scenario."""
-    if not 0.0 < risk < 1.0:
-        raise ScenarioError(f"--risk {exact(risk)}: out of range; allowed: above 0 and below 1")
-    loaded, _ = resolve(scenario, changes=changes, duration=duration, law=law, network=network)
+    _check_risk(risk)
     with ERR.status("computing") as status:
-        found = budget(loaded, risk, lambda now: status.update(f"computing: {now}"))
+        found = budget(scenario, risk, lambda now: status.update(f"computing: {now}"))
     if json:
         print_json(found)
         return

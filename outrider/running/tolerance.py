@@ -83,7 +83,7 @@ BOUNDS = (
 
 
 class Tolerance(NamedTuple):
-    """How far one declared bound of a UAV may grow, the others unchanged."""
+    """Largest value of one declared bound of a UAV, the others unchanged."""
 
     bound: Bound
     declared: float
@@ -170,7 +170,7 @@ class Change(NamedTuple):
     value: float
     """Value that the scenario has."""
     allowed: str
-    """What suffices, as text with its unit."""
+    """Sufficient values, as text with their unit."""
 
     @property
     def line(self) -> str:
@@ -274,7 +274,7 @@ def smallest_changes(scenario: Scenario, uav: Uav) -> tuple[Change, ...]:
 
 
 class Verdict(NamedTuple):
-    """Whether sight of a UAV's UGV can be certified, and what would make it so."""
+    """Verdict on the sight of a UAV's UGV: how often it can be certified, or the changes that would help."""
 
     certifiable: str
     """`always`, `not always`, `hardly ever` or `never`, as far as known in advance."""

@@ -172,7 +172,7 @@ LAW_CHECKS = (
     controller_is_stable,
     circle_is_within_sight,
 )
-"""Checks in order, after those of names and parameters."""
+"""Checks in order, after the checks of names and parameters."""
 
 
 def law_warnings(scenario: Scenario) -> Iterator[str]:

@@ -36,7 +36,7 @@ def teams_of(scenario: Scenario) -> tuple[tuple[str, ...], ...]:
 
 
 def observer_rows(scenario: Scenario) -> tuple[list[int], ...]:
-    """Return the rows of the UAVs that observe together: those of a team, and each UAV without one."""
+    """Return the rows of the UAVs that observe together: all UAVs of a team, or one UAV without a team."""
     names = sorted(uav.name for uav in scenario.uav)
     groups: dict[tuple[str, ...], list[int]] = {}
     for row, name in enumerate(names):

@@ -282,7 +282,7 @@ class Recorder:
 
     @property
     def widest_margins(self) -> FloatArray:
-        """Return the largest margin within each team, and that of each UAV without one [m]."""
+        """Return the largest margin of each team, and the margin of each UAV without a team [m]."""
         return self._observed(self.margins, np.max)
 
     def sha256(self, ticks: int | None = None) -> str:

@@ -26,7 +26,7 @@ from outrider_falsify.limits import SearchLimits
 from sim.scenario.types import Scenario, Uav
 
 PAIR = SIZES["adversary"]
-"""Number of the parameters of start, network and UGV; those of the attack follow."""
+"""Number of parameters of start, network and UGV; the parameters of the attack follow."""
 (_TROUBLE, _DELAY, _JITTER, _LOSS, _DUPLICATES, _REORDER, _REORDER_DELAY) = range(PAIR, PAIR + 7)
 (
     _KILL_NEW,

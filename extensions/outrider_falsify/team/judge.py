@@ -7,7 +7,7 @@ from bus.messages.team import Role
 from sim.server.flight import Flight
 
 _LATE = 2
-"""Ticks that the leash allows in addition, as roles and sight are those of whole ticks."""
+"""Ticks that the leash allows in addition, since roles and sight are known at whole ticks only."""
 
 
 def return_ticks(flight: Flight) -> int:

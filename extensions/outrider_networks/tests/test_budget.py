@@ -96,13 +96,12 @@ def test_smallest_changes_make_sight_certifiable(
 def test_the_command_prints_json_and_refuses_a_wrong_risk(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    given: dict[str, Any] = {"changes": ["duration=5.0"], "duration": None, "law": None}
-    print_budget("escort", RISK, **given, network="", json=True)
+    print_budget(load(duration=5.0), RISK, json=True)
     printed = json.loads(capsys.readouterr().out)
     assert printed["certifiable"] == "always"
     assert {one["what"] for one in printed["links"]} == {"loss", "burst", "delay", "blackout"}
     for risk in (0.0, 1.0, -1.0):
         with pytest.raises(ScenarioError, match=r"--risk .*: out of range"):
-            print_budget("escort", risk, **given, network="", json=False)
+            print_budget(load(), risk, json=False)
     with pytest.raises(ScenarioError, match="no UAV relies on declared bounds"):
-        print_budget("escort", RISK, **given | {"law": "tracking"}, network="", json=False)
+        print_budget(load(**{"law.name": "tracking"}), RISK, json=False)
