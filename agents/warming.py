@@ -1,5 +1,6 @@
 """Compilation of a pilot's code before its first tick, by throwaway pilots."""
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -14,6 +15,7 @@ from bus.messages.vehicle import (
     UgvObservation,
 )
 from bus.registry import DEFAULT_DRIVER, LAWS, TELEOP
+from sim.models.endurance import AT_BASE
 
 if TYPE_CHECKING:
     from agents.uav import Inner
@@ -97,13 +99,15 @@ def exercise(briefing: UavBriefing) -> None:
 
     law = Law() if LAWS[briefing.law.name].own else briefing.law
     pilot = UavPilot(msgspec.structs.replace(briefing, law=law))
-    place = 0.5 * briefing.area.width, 0.5 * briefing.area.height
     altitude, endurance = briefing.altitude, briefing.endurance
+    x, y = 0.5 * briefing.area.width, 0.5 * briefing.area.height
+    if endurance is not None and math.dist(endurance.base, (x, y)) < 2.0 * AT_BASE:
+        x *= 0.5  # at its base it would wait as a scout
     for tick in range(_EXERCISE):
         seen = UavObservation(
             tick=tick,
             time=tick * briefing.dt,
-            position=place,
+            position=(x, y),
             velocity=(0.0, 0.0),
             altitude=None if altitude is None else altitude.initial_altitude,
             detections=(Detection(time=tick * briefing.dt, relative_position=(0.1, 0.0)),),

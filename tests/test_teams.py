@@ -25,7 +25,7 @@ from outrider.running.assumptions import how_certifiable
 from outrider.running.deaths import MortalPilots
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import summarize
-from processes import await_status, child_of, flying, observing
+from processes import await_status, child_of, flying, observing, python
 from refusals import refusal
 from sim.engine.briefing import briefing
 from sim.engine.team_monitor import record_team, team_counters, team_reports
@@ -188,6 +188,33 @@ def test_team_flies_the_same_bits_in_processes_and_after_a_kill() -> None:
     found = summary["team"]
     assert found["team_certified_while_lost"] == found["team_certificate_broken"] == 0
     assert found["team_certified_share"] > 0.99
+
+
+_NEW = """
+import sys
+from numba.core.registry import CPUDispatcher
+from agents.process import uav_maker
+from outrider.running.flying import fly
+from sim.engine.briefing import uav_briefing
+from sim.scenario.loading import load_scenario
+
+def signatures():
+    modules = [module for name, module in sys.modules.items() if name.startswith("agents.")]
+    functions = {f for module in modules for f in vars(module).values() if isinstance(f, CPUDispatcher)}
+    return {(f.__module__, f.__name__, str(one)) for f in functions for one in f.signatures}
+
+scenario = load_scenario(sys.argv[1], overrides=["duration=20", "area.cell=0.5"])
+uav_maker()(uav_briefing(scenario, "uav_0", 3))
+before = signatures()
+fly(scenario, 3)
+new = {module + "." + name for module, name, _ in signatures() - before}
+print(*(name for name in new if name.startswith("agents.") and "drivers" not in name))
+"""
+
+
+@pytest.mark.parametrize("name", ["scouts", "relay"])
+def test_the_pilot_of_a_process_has_compiled_all_before_its_first_answer(name: str) -> None:
+    assert python(_NEW, name).stdout.split() == []
 
 
 def test_shared_coverage_equals_the_union_once_received() -> None:

@@ -15,6 +15,7 @@ from outrider.running.deaths import MortalPilots
 from outrider_falsify.adversary import Adversary, Tactics
 from outrider_falsify.team.events import Event, EventKind, Events
 from outrider_falsify.team.genome import TeamTactics
+from sim.scenario.team import briefed_team
 from sim.server.flight import Flight
 
 _QUIET = 1.0
@@ -33,8 +34,9 @@ class TeamView:
     def __init__(self, flight: Flight) -> None:
         self._flight = flight
         self.names = [uav.name for uav in flight.world.uavs]
-        team = flight.scenario.team
-        self._range = np.inf if team is None or team.scout_range is None else team.scout_range
+        teams = (briefed_team(flight.scenario, uav) for uav in flight.scenario.uav)
+        ranges = [team.scout_range for team in teams if team and team.scout_range is not None]
+        self._range = min(ranges, default=np.inf)
 
     def newest(self) -> str:
         """Return the UAV with the largest number; of equal numbers, the first."""
