@@ -4,17 +4,20 @@ import json
 import os
 import shutil
 import signal
+import subprocess
 import sys
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from bus.locator import UNIX
 from outrider.running.companions import Companions
 from outrider.running.flying import fly
+from outrider.running.parent import Start
 from outrider.running.run_folder import run_folder
 from processes import (
     OUTRIDER,
@@ -171,6 +174,25 @@ def test_a_killed_run_leaves_no_process_and_no_credentials() -> None:
         run.wait()
         wait_until(lambda: not any(alive(child) for child in children))
         wait_until(lambda: not list(folder.iterdir()))
+
+
+_KILLED = """
+import os, signal, tempfile
+from outrider.running.parent import read_start
+
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+read_start()
+tempfile.mkdtemp()
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_simulator_that_is_killed_leaves_no_temporary_file(monkeypatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    with run_folder() as folder:
+        line = msgspec.json.encode(Start(folder=str(folder))) + b"\n"
+        killed = subprocess.run([sys.executable, "-c", _KILLED], input=line, check=False)
+        assert killed.returncode == -signal.SIGKILL
 
 
 def test_a_vehicle_that_never_comes_is_named(command) -> None:

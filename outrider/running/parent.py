@@ -4,6 +4,7 @@ import atexit
 import os
 import shutil
 import signal
+import tempfile
 import threading
 import time
 
@@ -48,7 +49,7 @@ class Start(msgspec.Struct, kw_only=True, omit_defaults=True):
     law: Law | None = None
     """Initial law of the UAVs, for a companion."""
     folder: str = ""
-    """Private folder of the run, which the simulator removes on exit."""
+    """Private folder of the run, which holds the simulator's temporary files and which it removes on exit."""
     output: Output = Output()
     """Files of the run, for the simulator alone."""
     join_timeout: float = 30.0
@@ -72,6 +73,8 @@ def read_start() -> Start:
         line += piece
     start = msgspec.json.decode(line, type=Start)
     if start.folder:
+        # A signal can arrive before a temporary file is removed; this folder is removed in any case.
+        tempfile.tempdir = start.folder
         atexit.register(shutil.rmtree, start.folder, ignore_errors=True)
     threading.Thread(target=_await_end, name="outrider-watchdog", daemon=True).start()
     return start

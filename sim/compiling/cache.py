@@ -17,7 +17,7 @@ import traceback
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import numba
 
@@ -28,8 +28,6 @@ _WHOLE, _LEAST = 32 * 2**20, 4 * 2**20
 """Size of a filled cache, and space that must be left beside a filled one [bytes]."""
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _NUMBA = os.path.dirname(numba.__file__) + os.sep
-_locks: list[IO[bytes]] = []
-"""Open until this process ends."""
 
 
 class _Sum(NamedTuple):
@@ -49,7 +47,7 @@ def open_cache(folder: Path) -> int:
     """
     folder.mkdir(parents=True, exist_ok=True)
     lock = (folder / _LOCK).open("ab")
-    _locks.append(lock)
+    atexit.register(lock.close)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         removed = _remove_damaged(folder)
