@@ -114,7 +114,7 @@ def _team_link(x: Sequence[float]) -> LinkSettings:
         loss=cut(trouble * x[_LOSS] * 0.95, 3),
         duplicates=cut(trouble * x[_DUPLICATES] * 0.5, 3),
         reorder=cut(trouble * x[_REORDER] * 0.5, 3),
-        reorder_delay=cut(x[_REORDER_DELAY] * _LATEST, 3),
+        reorder_delay=cut(0.001 + x[_REORDER_DELAY] * _LATEST, 3),  # above 0 in any case
     )
 
 

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from random import Random
 
 import msgspec
 import pytest
@@ -12,9 +13,10 @@ from bus.messages.decision import FilterDecision
 from outrider_falsify.genome import Candidate
 from outrider_falsify.limits import SearchLimits
 from outrider_falsify.team.candidate import TeamResult, attacked, repeated
-from outrider_falsify.team.genome import team_cases
+from outrider_falsify.team.genome import decode_team, team_cases
 from outrider_falsify.team.plan_file import attack_toml, read_attack
 from outrider_falsify.team.work import team_base
+from sim.scenario.checks import check_scenario
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from tabular import words
@@ -91,6 +93,15 @@ def test_leash_twice_as_long_as_allowed_is_caught() -> None:
     result = result_of(DARK_AT_LEASH, sound)
     assert result.counts.leash_missed == 0
     assert result.counts.returned > 0
+
+
+def test_every_attack_can_be_flown() -> None:
+    """Its vector's entries are 0 and 1, too: mutations are clipped there."""
+    random, start, size = Random(1), base(12.0), len(team_cases()[0])
+    for number in range(60):
+        vector = tuple(random.choice((0.0, 1.0, random.random())) for _ in range(size))
+        attack = Candidate(number=number, kind="team", vector=vector, seed=number)
+        check_scenario(decode_team(attack, start, SearchLimits()))
 
 
 def test_a_scenario_without_a_team_is_refused() -> None:
