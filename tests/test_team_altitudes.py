@@ -147,6 +147,12 @@ def test_scouts_that_dive_stay_above_the_roofs_of_a_town() -> None:
     assert altitudes(flight)[:, 2].min() < ROOF + LOW["vertical_clearance"] + 0.01  # it did dive
 
 
+def test_a_uav_of_a_town_flies_its_own_law() -> None:
+    lone = load_scenario("town", overrides=["uav.0.law.name=lookahead", "duration=0.2"])
+    named = load_scenario("town", overrides=["law.name=lookahead", "duration=0.2"])
+    assert fly(lone, 3)[1].trajectory_sha256 == fly(named, 3)[1].trajectory_sha256
+
+
 def test_a_scout_above_a_town_takes_over_from_a_dead_guard() -> None:
     flight = Flight(town(40.0, law__name="certified"), 3)
     assert_taken_over(flight)

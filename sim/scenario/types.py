@@ -450,4 +450,4 @@ def altitude_limits(scenario: Scenario, uav: Uav) -> AltitudeLimits | None:
         return None
     given = ((name, getattr(uav, name, None)) for name in AltitudeLimits.__struct_fields__)
     known = {name: value for name, value in given if value is not None}
-    return AltitudeLimits(**known, law=scenario.altitude.law)
+    return AltitudeLimits(**known | {"law": scenario.altitude.law})
