@@ -50,8 +50,13 @@ class Ended(SystemExit):
 class ScenarioError(OutriderError, ValueError):
     """Invalid scenario, a `ValueError` to be fixed by its author.
 
-    The message names the file, the field, its value and what is allowed.
+    The message names the file, the field, its value and what is allowed. `args` has a line for each fault: the first
+    one only, unless all were asked for.
     """
+
+    def __str__(self) -> str:
+        """Return the lines, one below the other."""
+        return "\n".join(map(str, self.args))
 
 
 class BusError(OutriderError):

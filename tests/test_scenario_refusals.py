@@ -5,6 +5,7 @@ The line names file, field, value, cause, and allowed values.
 
 import math
 from pathlib import Path
+from random import Random
 
 import msgspec
 import pytest
@@ -240,6 +241,48 @@ def test_refusal_names_file_field_value_and_allowed_values(
 
 def test_every_check_has_a_row_above() -> None:
     assert {check for check, *_ in BROKEN} == set(CHECKS)
+
+
+def every_refusal(overrides: list[str]) -> tuple[str, ...]:
+    """Return the line of each independent fault, without the scenario's name."""
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario("escort", overrides=overrides, every=True)
+    assert refusal(overrides=overrides) == caught.value.args[0]
+    return tuple(line.removeprefix("escort: ").partition(":")[0] for line in caught.value.args)
+
+
+def test_all_independent_faults_are_found_at_once() -> None:
+    """Their consequences are left out: a UAV outside the area is also too far from its UGV."""
+    changes = (
+        "uav.0.position=[100,2] visibility.radius=20 uav.0.max_speed=0.1 dt=2.0 detections.rate=3"
+    )
+    assert every_refusal(changes.split()) == (
+        "dt = 2.0",
+        "visibility.radius = 20.0",
+        "uav.0.position = [100.0, 2.0]",
+        "uav.0.max_speed = 0.1",
+    )
+
+
+def test_all_wrong_types_are_found_at_once() -> None:
+    changes = (
+        "duraton=5 area.cell=a uav.0.fast=3 uav.0.max_speed=-1 ugv.0.goals=[[1]] team.guards=x"
+    )
+    assert set(every_refusal(changes.split())) == {
+        "duraton = 5",
+        'area.cell = "a"',
+        "uav.0.fast = 3",
+        "uav.0.max_speed = -1",
+        "ugv.0.goals.0 = [1]",
+        'team.guards = "x"',
+    }
+
+
+def test_any_faults_together_are_refused() -> None:
+    """A check that relies on another one is left out, and does not fail on what it cannot use."""
+    random = Random(1)
+    for _ in range(200):
+        every_refusal([change for row in random.sample(BROKEN, 3) for change in row[1]])
 
 
 @pytest.mark.parametrize(

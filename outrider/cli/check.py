@@ -4,8 +4,9 @@ from typing import Annotated
 
 import typer
 
+from bus.errors import ScenarioError
 from outrider.cli import options
-from outrider.cli.console import OUT, print_json, print_warnings
+from outrider.cli.console import ERR, OUT, print_json, print_warnings
 from outrider.running.assumptions import (
     assumption_warnings,
     certified_from,
@@ -38,23 +39,28 @@ def command(
 ) -> None:
     """Validate a scenario without flying it.
 
-    Exits with 0, or with 2 and one line that names file, field and value. The command accepts the options of `run`
-    that change the scenario, and prints the same warnings. With a safety filter, it reports the bounds that links or
-    detector may exceed, whether sight can be certified always, not always, hardly ever or never, and, for each single
-    field, the smallest change that would make it certifiable. Your own functions are loaded and called for one tick;
-    functions named in the file need --allow-code.
+    Exits with 0, or with 2 and a line for each independent fault, which names file, field and value. The command
+    accepts the options of `run` that change the scenario, and prints the same warnings. With a safety filter, it
+    reports the bounds that links or detector may exceed, whether sight can be certified always, not always, hardly ever
+    or never, and, for each single field, the smallest change that would make it certifiable. Your own functions are
+    loaded and called for one tick; functions named in the file need --allow-code.
 
     Example: outrider check my-scenario.toml --network wifi-poor
     """
-    scenario, named = resolve(
-        file,
-        seed=seed,
-        duration=duration,
-        law=law,
-        driver=driver,
-        network=network,
-        changes=changes,
-    )
+    try:
+        scenario, named = resolve(
+            file,
+            seed=seed,
+            duration=duration,
+            law=law,
+            driver=driver,
+            network=network,
+            changes=changes,
+        )
+    except ScenarioError as error:
+        for line in error.args[:-1]:
+            ERR.tell(f"outrider: {line}")
+        raise ScenarioError(error.args[-1]) from error
     foreign = () if allow_code else foreign_code(scenario, named)
     warnings = [
         *scenario_warnings(scenario),

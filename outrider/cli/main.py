@@ -249,7 +249,10 @@ def _run() -> int:
         if not code:  # otherwise the exit code says more than a closed terminal
             print_text("")  # flush
         return code
-    except (ScenarioError, AccessDenied) as error:
+    except ScenarioError as error:
+        _show_traceback()
+        return _fail(str(error.args[0]), 2)
+    except AccessDenied as error:
         _show_traceback()
         return _fail(str(error), 2)
     except OutriderError as error:

@@ -36,7 +36,7 @@ def resolve(
         changes: Changes of fields, in the form of `--set`; applied first.
 
     Raises:
-        ScenarioError: If the scenario cannot be flown.
+        ScenarioError: If the scenario cannot be flown; with a line for each independent fault.
     """
     options: dict[str, object] = {
         "seed": seed,
@@ -48,7 +48,8 @@ def resolve(
         "run.join_timeout": join_timeout,
     }
     given = [(field, value) for field, value in options.items() if value is not None]
-    scenario = load_scenario(source, overrides=[*(changes or ()), *given], law=law)
+    overrides: list[str | tuple[str, object]] = [*(changes or ()), *given]
+    scenario = load_scenario(source, overrides=overrides, law=law, every=True)
     if law and not scenario.uav:
         raise ScenarioError(f"--law {law}: {scenario.name} has no UAV; allowed: no --law")
     named = [f"{field}={value}" for field, value in given if field in _CODE]
@@ -58,7 +59,7 @@ def resolve(
             raise ScenarioError(
                 f"--uav-policy {uav_policy}: not used by {where}; allowed: with {' or '.join(_LAWS)}"
             )
-        scenario = load_scenario(source, overrides=[*(changes or ()), *given], law=_LAWS[0])
+        scenario = load_scenario(source, overrides=overrides, law=_LAWS[0], every=True)
     return scenario, [*(changes or ()), *named]
 
 

@@ -3,6 +3,7 @@
 import datetime
 import re
 import tomllib
+from collections.abc import Iterator
 from typing import Any, TypeVar
 
 import msgspec
@@ -100,16 +101,25 @@ def as_raw(value: object, *, file: str) -> Any:  # noqa: ANN401 - as TOML would 
         ) from error
 
 
-def typed(raw: object, kind: type[Typed], *, file: str) -> Typed:
+def typed(raw: object, kind: type[Typed], *, file: str, every: bool = False) -> Typed:
     """Convert raw values to a struct.
 
+    Args:
+        raw: Values as TOML gives them.
+        kind: Type of the struct.
+        file: Name of the file for error messages.
+        every: True: report every fault, not the first one only.
+
     Raises:
-        ScenarioError: For the first unknown key, or the first value of a wrong type or out of bounds.
+        ScenarioError: For an unknown key, or a value of a wrong type or out of bounds.
     """
     try:
         return msgspec.convert(raw, kind)
     except msgspec.ValidationError as error:
-        raise _fault(str(error), raw, kind).error(file) from error
+        lines = {_fault(str(error), raw, kind).line(file): True}
+        if every and isinstance(raw, dict):
+            lines |= {_fault(one, raw, kind).line(file): True for one in _messages(raw, kind)}
+        raise ScenarioError(*lines) from error
 
 
 def type_fault(raw: object, kind: type[msgspec.Struct]) -> Fault | None:
@@ -119,6 +129,42 @@ def type_fault(raw: object, kind: type[msgspec.Struct]) -> Fault | None:
     except msgspec.ValidationError as error:
         return _fault(str(error), raw, kind)
     return None
+
+
+def _messages(raw: dict[str, Any], kind: type[msgspec.Struct], where: str = "$") -> Iterator[str]:
+    """Yield msgspec's message for each invalid field of a table at `where`; msgspec itself stops at the first one."""
+    at = f" - at `{where}`" if where != "$" else ""
+    fields = {field.encode_name: field for field in msgspec.structs.fields(kind)}
+    yield from (f"Object contains unknown field `{name}`{at}" for name in raw if name not in fields)
+    for name, field in fields.items():
+        if name not in raw:
+            if field.required:
+                yield f"Object missing required field `{name}`{at}"
+            continue
+        value, table, found = raw[name], _table(field.type), False
+        parts = enumerate(value) if isinstance(value, list) else [(None, value)]
+        for k, part in parts:
+            if table is not None and isinstance(part, dict):
+                inside = f"{where}.{name}" if k is None else f"{where}.{name}[{k}]"
+                for message in _messages(part, table, inside):
+                    found = True
+                    yield message
+        if not found:
+            try:
+                msgspec.convert(value, field.type)
+            except msgspec.ValidationError as error:
+                text, _, rest = str(error).partition(" - at `$")
+                yield f"{text} - at `{where}.{name}{rest or '`'}"
+
+
+def _table(kind: object) -> type[msgspec.Struct] | None:
+    """Return the struct of a field's table, or of a list's tables; None: the field holds none."""
+    info = inspect.type_info(kind)
+    if isinstance(info, inspect.VarTupleType):
+        info = info.item_type
+    if isinstance(info, inspect.UnionType):  # a table that may be missing
+        info = next((one for one in info.types if isinstance(one, inspect.StructType)), info)
+    return info.cls if isinstance(info, inspect.StructType) else None
 
 
 def _fault(message: str, raw: Any, kind: type[msgspec.Struct]) -> Fault:  # noqa: ANN401 - any value

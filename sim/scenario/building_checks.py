@@ -214,4 +214,4 @@ BUILDING_CHECKS: tuple[Check, ...] = (
     buildings_leave_stops_free,
     building_bounds_agree,
 )
-"""Checks in order: later ones may rely on earlier ones."""
+"""Checks in order, after those of numbers and names."""

@@ -1,8 +1,10 @@
 """Checks of scenarios: errors for impossible ones, and warnings for surprising ones."""
 
+import itertools
 from collections.abc import Iterator
 from itertools import pairwise
 
+from bus.errors import ScenarioError
 from bus.numbers import exact
 from bus.policies import Vehicle, is_policy_file, policy_forms
 from bus.registry import (
@@ -12,19 +14,58 @@ from bus.registry import (
 )
 from sim.input.faults import Fault, one_line, unknown_name
 from sim.input.reading import as_raw, typed
-from sim.scenario.building_checks import BUILDING_CHECKS, building_warnings
-from sim.scenario.ground_checks import GROUND_CHECKS, hazard_warnings
+from sim.scenario.building_checks import (
+    BUILDING_CHECKS,
+    altitudes_are_possible,
+    building_fields_are_possible,
+    building_warnings,
+    buildings_are_apart,
+    buildings_have_a_shape,
+    buildings_leave_stops_free,
+    cameras_see,
+)
+from sim.scenario.ground_checks import (
+    GROUND_CHECKS,
+    fields_are_possible,
+    fields_have_room,
+    hazard_warnings,
+    hazards_are_known,
+    hazards_have_a_shape,
+    hazards_lie_in_area,
+    routes_are_open,
+    starts_and_goals_are_free,
+    tiles_fit_area,
+)
 from sim.scenario.laws import (
     LAW_CHECKS,
+    circle_is_within_sight,
     circle_warnings,
     law_parameters_are_possible,
     law_warnings,
     laws_are_known,
+    switching_radius_is_positive,
 )
 from sim.scenario.team import endurances_suffice, teams_are_possible, watch_warnings
 from sim.scenario.team_bands import bands_are_apart
 from sim.scenario.types import Scenario
-from sim.scenario.world_checks import WORLD_CHECKS, Check
+from sim.scenario.world_checks import (
+    WORLD_CHECKS,
+    Check,
+    commands_act,
+    escorts_are_there,
+    grid_divides_area,
+    inner_loops_resist,
+    links_are_possible,
+    names_are_different,
+    numbers_are_finite,
+    points_are_inside,
+    rates_fit_ticks,
+    sight_is_within_range,
+    time_is_whole,
+    uav_is_stronger,
+    ugv_is_seen_at_start,
+    wind_is_possible,
+)
 
 _ENTRIES = {
     "script": "steps such as { time = 0.0, velocity = [0.2, 0.0] }",
@@ -100,9 +141,17 @@ def drivers_have_their_task(scenario: Scenario) -> Iterator[Fault]:
                 )
 
 
-CHECKS: tuple[Check, ...] = (
-    *WORLD_CHECKS,
+_FIRST: tuple[Check, ...] = (
+    numbers_are_finite,
+    names_are_different,
+    escorts_are_there,
     names_are_known,
+    hazards_are_known,
+)
+"""Checks on which all others rely."""
+CHECKS: tuple[Check, ...] = (
+    *_FIRST,
+    *WORLD_CHECKS,
     law_parameters_are_possible,
     own_functions_are_named,
     drivers_have_their_task,
@@ -113,15 +162,51 @@ CHECKS: tuple[Check, ...] = (
     bands_are_apart,
     endurances_suffice,
 )
-"""Checks in order: later ones may rely on earlier ones."""
+"""Checks in order."""
+_SHAPES = hazards_have_a_shape, buildings_have_a_shape
+_RELIES: dict[Check, tuple[Check, ...]] = {
+    rates_fit_ticks: (time_is_whole,),
+    ugv_is_seen_at_start: (sight_is_within_range, points_are_inside),
+    inner_loops_resist: (time_is_whole, wind_is_possible),
+    commands_act: (time_is_whole, links_are_possible),
+    **dict.fromkeys(LAW_CHECKS, (law_parameters_are_possible,)),
+    circle_is_within_sight: (law_parameters_are_possible, switching_radius_is_positive),
+    cameras_see: (altitudes_are_possible,),
+    buildings_are_apart: (buildings_have_a_shape,),
+    buildings_leave_stops_free: (buildings_have_a_shape, altitudes_are_possible),
+    tiles_fit_area: (grid_divides_area,),
+    hazards_lie_in_area: (hazards_have_a_shape,),
+    starts_and_goals_are_free: (hazards_have_a_shape,),
+    routes_are_open: (
+        *(tiles_fit_area, points_are_inside, *_SHAPES),
+        *(starts_and_goals_are_free, buildings_leave_stops_free),
+    ),
+    fields_have_room: (fields_are_possible, building_fields_are_possible, routes_are_open),
+    teams_are_possible: (uav_is_stronger, inner_loops_resist, commands_act, cameras_see),
+    bands_are_apart: (altitudes_are_possible,),
+    endurances_suffice: (uav_is_stronger,),
+}
+"""Checks that mean nothing if one of these has found a fault, or was left out."""
 
 
-def check_scenario(scenario: Scenario, *, source: str = "") -> Scenario:
+def _independent_faults(scenario: Scenario) -> Iterator[Fault]:
+    """Yield the faults of all checks, except of those that rely on a check which has found one."""
+    failed: set[Check] = set()
+    for check in CHECKS:
+        relies = _RELIES.get(check, ()) + (() if check in _FIRST else _FIRST)
+        faults = () if failed.intersection(relies) else tuple(check(scenario))
+        if faults or failed.intersection(relies):
+            failed.add(check)
+        yield from faults
+
+
+def check_scenario(scenario: Scenario, *, source: str = "", every: bool = False) -> Scenario:
     """Check a scenario and return it.
 
     Args:
         scenario: Read from a file or made in Python; NumPy numbers and integers become floats.
         source: Name of the file for error messages; the scenario's name by default.
+        every: True: report every independent fault, not the first one only.
 
     Returns:
         Equal scenario with correctly typed values.
@@ -130,10 +215,11 @@ def check_scenario(scenario: Scenario, *, source: str = "") -> Scenario:
         ScenarioError: One line with file, field, value, what is wrong and what is allowed.
     """
     file = one_line(str(source or scenario.name or "scenario"))
-    checked = typed(as_raw(scenario, file=file), type(scenario), file=file)
-    for check in CHECKS:
-        for fault in check(checked):
-            raise fault.error(file)
+    checked = typed(as_raw(scenario, file=file), type(scenario), file=file, every=every)
+    faults = _independent_faults(checked)
+    lines = [fault.line(file) for fault in (faults if every else itertools.islice(faults, 1))]
+    if lines:
+        raise ScenarioError(*lines)
     return checked
 
 

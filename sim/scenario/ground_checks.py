@@ -245,7 +245,6 @@ def _crossing_legs(scenario: Scenario, k: int) -> Iterator[str]:
 
 
 GROUND_CHECKS: tuple[Check, ...] = (
-    hazards_are_known,
     tiles_fit_area,
     hazards_have_a_shape,
     hazards_lie_in_area,
@@ -254,4 +253,4 @@ GROUND_CHECKS: tuple[Check, ...] = (
     fields_are_possible,
     fields_have_room,
 )
-"""Checks in order: later ones may rely on earlier ones."""
+"""Checks in order, after those of numbers and names."""

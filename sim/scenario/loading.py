@@ -180,7 +180,11 @@ def _with_one_law(raw: dict[str, object], law: str, *, file: str) -> None:
 
 
 def load_scenario(
-    source: str | Path = DEFAULT_SCENARIO, *, overrides: Overrides = (), law: str | None = None
+    source: str | Path = DEFAULT_SCENARIO,
+    *,
+    overrides: Overrides = (),
+    law: str | None = None,
+    every: bool = False,
 ) -> Scenario:
     """Read and validate a scenario.
 
@@ -189,6 +193,7 @@ def load_scenario(
         overrides: Changes applied in order before validation: fields with values, or texts such as
             `uav.0.max_speed=0.5`. The value is written as in TOML, or is plain text. `uav.*` means every UAV.
         law: Name of one law for all UAVs, whatever file and overrides name; None: theirs.
+        every: True: report every independent fault, not the first one only.
 
     Returns:
         The scenario; without a name, it gets the file's name without suffix.
@@ -213,10 +218,10 @@ def load_scenario(
     _with_names(raw)
     _with_saved_drivers(raw, file=file)
     with_profiles(raw, file=file)
-    scenario = typed(raw, Scenario, file=file)
+    scenario = typed(raw, Scenario, file=file, every=every)
     if not scenario.name:
         scenario = msgspec.structs.replace(scenario, name=one_line(Path(source).stem))
     scenario = with_recordings(
         with_tracks(scenario, file=file), file=file, folder=Path(source).parent, inside=named
     )
-    return check_scenario(scenario, source=file)
+    return check_scenario(scenario, source=file, every=every)

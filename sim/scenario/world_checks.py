@@ -324,9 +324,6 @@ def commands_act(scenario: Scenario) -> Iterator[Fault]:
 
 
 WORLD_CHECKS: tuple[Check, ...] = (
-    numbers_are_finite,
-    names_are_different,
-    escorts_are_there,
     grid_divides_area,
     time_is_whole,
     rates_fit_ticks,
@@ -341,4 +338,4 @@ WORLD_CHECKS: tuple[Check, ...] = (
     links_are_possible,
     commands_act,
 )
-"""Checks in order: later ones may rely on earlier ones."""
+"""Checks in order, after those of numbers and names."""
