@@ -27,7 +27,7 @@ from bus.errors import Ended, OutriderError, ScenarioError, place_in_user_code, 
 
 GROUPS = (
     *("commands", "companions", "drivers", "laws"),
-    *("policies", "roles", "sensors", "sinks"),
+    *("policies", "profiles", "roles", "sensors", "sinks"),
 )
 """Groups of entry points, `outrider.<group>`."""
 

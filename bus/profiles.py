@@ -1,14 +1,24 @@
-"""Named radio links: presets for scenarios, commands and the operator's page.
+"""Named radio links: presets for scenarios, commands and the operator's page, and profiles of other packages.
 
 They are values of a message, so that a vehicle's process, which must not import links, can list them in its help texts.
 The numbers are rounded from commonly published values for each kind of link, one way, for small messages; none is
 fitted to one measurement. docs/how-to/network.md gives the sources and compares the profiles with an independent
 simulator. Delays shorter than a tick arrive at the next tick: at dt = 0.05 s a good Wi-Fi is a link of one tick.
+
+An installed package adds profiles by an entry point `outrider.profiles`: a dict like `SHIPPED`.
 """
 
+import re
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import msgspec
+
+from bus import plugins
+from bus.errors import OutriderError
 from bus.messages.links import LinkSettings
 
-PROFILES: dict[str, LinkSettings] = {
+SHIPPED: Mapping[str, LinkSettings] = {
     # No delay, no loss.
     "perfect": LinkSettings(),
     # A good 802.11 link in line of sight: a few ms, a tail from retransmissions, short fades; the remaining loss is a
@@ -84,4 +94,52 @@ PROFILES: dict[str, LinkSettings] = {
         blackout_length=2.0,
     ),
 }
-"""Link settings by name of the profile."""
+"""Link settings of the shipped profiles by name."""
+NAME_RULE = "up to 32 of a-z, 0-9, '_' and '-', the first a letter"
+"""Form of a profile's name."""
+
+
+def is_profile_name(text: object) -> bool:
+    """Return true if a profile may have this name."""
+    return isinstance(text, str) and re.fullmatch(r"[a-z][a-z0-9_-]{0,31}", text) is not None
+
+
+def _checked(
+    given: Mapping[object, object], taken: Mapping[str, LinkSettings]
+) -> dict[str, LinkSettings]:
+    """Return the profiles of a package.
+
+    Raises:
+        ValueError: If a name or the settings of a profile are invalid.
+    """
+    found: dict[str, LinkSettings] = {}
+    for name, settings in given.items():
+        if not isinstance(name, str) or not is_profile_name(name):
+            raise ValueError(f"profile {name!r}: wrong form of the name; allowed: {NAME_RULE}")
+        if name in taken:
+            raise ValueError(f"profile {name!r}: the name is taken")
+        if not isinstance(settings, LinkSettings):
+            raise ValueError(f"profile {name!r}: is not a LinkSettings")
+        try:
+            found[name] = msgspec.convert(msgspec.to_builtins(settings), LinkSettings)
+        except (msgspec.ValidationError, TypeError) as error:
+            raise ValueError(f"profile {name!r}: {error}") from error
+        if settings.trace:
+            raise ValueError(f"profile {name!r}: names a trace; allowed: all other settings")
+    return found
+
+
+def _with_packages() -> Mapping[str, LinkSettings]:
+    """Return our profiles and those of other packages by name; skip invalid ones, with a warning."""
+    table = dict(SHIPPED)
+    for entry, given in plugins.load_all("profiles", dict).items():
+        try:
+            with plugins.foreign():
+                table |= _checked(given, table)
+        except OutriderError as error:
+            plugins.ignore_named("profiles", entry, error)
+    return MappingProxyType(table)
+
+
+PROFILES = _with_packages()
+"""Link settings by name of the profile, the shipped ones first."""

@@ -15,8 +15,10 @@ from flights import degraded, escort
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
-from refusals import SMALL
+from outrider.running.resolve import resolve
+from refusals import SMALL, refusal
 from sim.scenario.loading import load_scenario
+from sim.scenario.resolved import as_toml, read_resolved
 from sim.scenario.types import Detections, LinkTable, Ugv
 from sim.server.flight import Flight
 from staging import stage
@@ -39,6 +41,62 @@ def test_links_have_their_profile_and_the_changes_to_it(tmp_path: Path) -> None:
     commands = with_(PROFILES["wifi"], delay=0.4)
     assert links.commands == links.of("ugv_0", LinkKind.COMMANDS) == commands
     assert links.of("uav_0", LinkKind.COMMANDS) == with_(commands, loss=0.1)
+
+
+RADIOS = "[profile.near]\ndelay = 0.01\n[profile.far]\ndelay = 0.2\nloss = 0.1\n"
+
+
+def test_links_have_the_profile_of_a_file(tmp_path, monkeypatch) -> None:
+    """The user names files relative to the current folder, a scenario relative to its own."""
+    for folder in ("own", "here/sub"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "own" / "radios.toml").write_text(RADIOS)
+    (tmp_path / "here" / "one.toml").write_text("[profile.slow]\ndelay = 0.3\n")
+    own = '[links]\nprofile = "radios.toml:near"\n[links.radio]\nprofile = "radios.toml:far"\ndelay = 0.4\n'
+    (tmp_path / "own" / "own.toml").write_text(own + SMALL)
+    monkeypatch.chdir(tmp_path / "here")
+    links = load_scenario("../own/own.toml", overrides=["links.commands.profile=one.toml"]).links
+    assert links.detections == LinkSettings(delay=0.01)
+    assert links.radio == LinkSettings(delay=0.4, loss=0.1)
+    assert links.commands == LinkSettings(delay=0.3)
+    resolved, _ = resolve("escort", network="../own/radios.toml:far")
+    assert resolved.links.team == LinkSettings(delay=0.2, loss=0.1)
+    again = tmp_path / "again.toml"
+    again.write_text(as_toml(resolved))
+    (tmp_path / "own" / "radios.toml").unlink()
+    assert read_resolved(again) == resolved
+
+
+@pytest.mark.parametrize(
+    ("text", "given", "phrase"),
+    [
+        (RADIOS, "radios.toml", "several profiles; allowed: radios.toml:near, radios.toml:far"),
+        (RADIOS, "radios.toml:fat", "no such profile in the file, did you mean 'far'?"),
+        (RADIOS, "radio.toml", "cannot be read: No such file"),
+        ("[profile.Far]", "radios.toml", "profile.Far: not a name"),
+        ("[profile.far]\ndelya = 1.0", "radios.toml", "profile.far.delya = 1.0: unknown field, did you"),
+        ("[profile.far]\nloss = 2.0", "radios.toml", "profile.far.loss = 2.0: out of bounds"),
+        ("[profile.far]\nreorder = 0.1", "radios.toml", "profile.far.reorder_delay = 0.0: reordered"),
+        ('[profile.far]\ntrace = "x.csv"', "radios.toml", "a profile cannot name a trace"),
+        ("[profile]\nfar = 3", "radios.toml", "profile.far = 3: not a table"),
+        ("profile = 3", "radios.toml", "profile = 3: no table of profiles"),
+        ("[links]\ndelay = 1", "radios.toml", "profile: missing; allowed: tables [profile.NAME]"),
+        (RADIOS + "[links]", "radios.toml:far", "links = {}: unknown field"),
+        ("[profile", "radios.toml", "radios.toml: not TOML"),
+    ],
+)  # fmt: skip
+def test_bad_file_of_profiles_is_refused(text, given, phrase, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "radios.toml").write_text(text)
+    assert phrase in refusal(overrides=[("links.profile", given)])
+
+
+def test_scenario_names_profiles_in_its_own_folder_only(tmp_path: Path) -> None:
+    (tmp_path / "radios.toml").write_text(RADIOS)
+    (tmp_path / "sub").mkdir()
+    own = tmp_path / "sub" / "own.toml"
+    own.write_text('links = { profile = "../radios.toml:far" }\n' + SMALL)
+    assert "outside the scenario's folder" in refusal(own)
 
 
 def test_a_detection_comes_late_and_says_when_it_was_taken() -> None:

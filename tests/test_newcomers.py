@@ -221,6 +221,9 @@ def test_schema_accepts_shipped_scenarios_and_no_nonsense(schema):
     assert validator.is_valid(
         {**tomllib.loads(shipped_text("escort")), "links": {"profile": "lte"}}
     )
+    for given in ("mine.toml", "folder/mine.toml:radio", "mesh"):
+        links = {"links": {"commands": {"profile": given}}}
+        assert validator.is_valid({**tomllib.loads(shipped_text("escort")), **links}), given
     for change in ({"duratoin": 3.0}, {"dt": "0.05"}, {"seed": -1}, {"links": {"profile": "5g"}}):
         assert not validator.is_valid({**tomllib.loads(shipped_text("escort")), **change}), change
 

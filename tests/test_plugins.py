@@ -199,6 +199,12 @@ RAISES = LawRow(name="late", module="late", about="", color="#000000")
 LACKS = SensorRow(name="lacks", module="rows", about="")
 """,
     "parts.py": "from bus.roles import Roles; ROLES = Roles(parties=None, grants=None)",
+    "links.py": """
+from bus.messages.links import LinkSettings
+TAKEN = {"fast": LinkSettings(), "wifi": LinkSettings()}
+NUMBER = {"slow": 3}
+OUT = {"slow": LinkSettings(delay=-1.0)}
+""",
     "late.py": "from sim.compiling.compile import compiled; raise LookupError('no table')",
 }
 BROKEN_POINTS = """
@@ -221,6 +227,10 @@ untyped = "rows:UNTYPED"
 lacks = "rows:LACKS"
 [project.entry-points."outrider.policies"]
 raises = "raises:KIND"
+[project.entry-points."outrider.profiles"]
+taken = "links:TAKEN"
+number = "links:NUMBER"
+out = "links:OUT"
 [project.entry-points."outrider.roles"]
 roles = "parts:ROLES"
 """
@@ -230,15 +240,19 @@ commands '--help' not a command's name | laws 'taken' name = 'tracking': the nam
 laws 'dashed' 'my-module:ROW' has a wrong form | laws 'exits' SystemExit | drivers 'spaced' name = 'two words'
 laws 'late' late: LookupError: no table | drivers 'untyped' rows:UNTYPED has about = None | sensors 'lacks' rows:
 policies 'raises' RuntimeError: no luck | roles 'roles' 'NoneType' object
+profiles 'taken' ValueError: profile 'wifi': the name is taken
+profiles 'number' ValueError: profile 'slow': is not a LinkSettings
+profiles 'out' ValueError: profile 'slow': Expected `float` >= 0.0
 """
 """Group and name of each broken entry point, and the key phrase of the reason."""
 USES = """
 import agents.laws.dispatch, agents.drivers.dispatch, sim.models.sensor
 from bus.policies import policy_kinds
+from bus.profiles import PROFILES, SHIPPED
 from bus.registry import DRIVERS, LAWS, SENSORS
 from bus.roles import extension_roles
 assert not {"late"} & LAWS.keys() and not {"untyped"} & DRIVERS.keys() and not {"lacks"} & SENSORS.keys()
-assert LAWS["tracking"].module
+assert LAWS["tracking"].module and PROFILES == SHIPPED
 assert "roles" not in extension_roles() and "raises" not in policy_kinds("uav")
 import sys
 sys.argv = ["outrider", "--help"]
@@ -315,6 +329,15 @@ def test_its_command_is_listed_and_its_policy_drives(command) -> None:
     assert json.loads(driven.stdout)["trajectory_sha256"] != plain["trajectory_sha256"]
     wrong = command(*run, "--driver", "gain:fast")
     assert (wrong.returncode, "allowed: gain:0.3" in wrong.stderr) == (2, True)
+
+
+def test_its_network_profile_is_known_by_name(package: Path) -> None:
+    refused = answer(
+        package, REFUSALS.replace("sys.argv[2:]", "['links.profile=mes', 'links.profile=mesh']")
+    )
+    line, accepted = refused["refused"]
+    assert "unknown profile, did you mean 'mesh'?" in line
+    assert accepted is None
 
 
 @pytest.mark.long

@@ -16,7 +16,7 @@ import msgspec
 
 from bus.messages import links, scenario
 from bus.messages.links import LinkKind
-from bus.profiles import PROFILES
+from bus.profiles import SHIPPED
 from bus.registry import LAWS
 from sim.scenario import types
 from sim.scenario.types import Scenario
@@ -62,8 +62,9 @@ def scenario_schema() -> dict[str, Any]:
         tables[name]["properties"]["parameters"]["properties"] = law_parameters_schema()
     driver = tables["Ugv"]["properties"]["driver"]
     driver["pattern"] = f"{driver['pattern']}|^[a-z0-9_-]+:."
+    file_or_package = {"type": "string", "pattern": r"^[a-z][a-z0-9_-]*$|\.[tT][oO][mM][lL](:.+)?$"}
     profile = {
-        "enum": sorted(PROFILES),
+        "anyOf": [{"enum": sorted(SHIPPED)}, file_or_package],
         "description": "Profile on which these settings are based.",
     }
     for name in ("LinkTable", "VehicleLinks", "LinkSettings"):

@@ -42,6 +42,13 @@ def fit(
             help="Set the message size over a Mahimahi file [bytes].", min=1, max=1_000_000
         ),
     ] = 1000,
+    save: Annotated[
+        str,
+        typer.Option(
+            metavar="FILE.toml[:NAME]",
+            help="Save the fit as a profile for --network; append to a file of profiles.",
+        ),
+    ] = "",
     json: Json = False,
 ) -> None:
     """Fit link settings and the nearest profile to a recording.
@@ -50,11 +57,11 @@ def fit(
     The factor compares two links by the time until a message, or any later one, has arrived: it is the mean ratio of
     the quantiles of these times, and 1 is a perfect fit. Duplicates do not show in such a file.
 
-    Example: outrider network fit drive.csv --out fit.png
+    Example: outrider network fit drive.csv --save drive.toml --out fit.png
     """
     from outrider_networks.work import print_fit  # noqa: PLC0415 - the compiler
 
-    print_fit(file, out, rate=rate, message_bytes=message_bytes, json=json)
+    print_fit(file, out, save, rate=rate, message_bytes=message_bytes, json=json)
 
 
 def _resolved(

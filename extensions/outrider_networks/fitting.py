@@ -18,6 +18,7 @@ from scipy.special import expit
 from bus.messages.links import LinkSettings
 from bus.numbers import above, below
 from bus.profiles import PROFILES
+from outrider_networks.profile_file import settings_toml
 from outrider_networks.samples import Sample, drawn_sample, recorded_sample
 from sim.channel.description import extra_delays
 from sim.channel.jitter import SHAPES, jitter_quantile, jitter_share
@@ -127,12 +128,8 @@ def wait_factor(one: Sample, other: Sample) -> float:
 
 
 def as_toml(settings: LinkSettings) -> str:
-    """Return the fields that differ from a perfect link, in the scenario's format."""
-    lines = [
-        f"{field} = {msgspec.json.encode(value).decode()}"
-        for field, value in settings.changes().items()
-    ]
-    return "\n".join(["[links.detections]    # or commands, operator, radio", *lines])
+    """Return the fields that differ from a perfect link, as a table of a scenario."""
+    return f"[links.detections]    # or commands, operator, radio\n{settings_toml(settings)}"
 
 
 def _notes(recorded: RecordedLink, sample: Sample) -> Iterator[str]:

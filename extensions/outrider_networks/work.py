@@ -11,16 +11,21 @@ from bus.numbers import exact
 from outrider.cli.console import ERR, OUT, print_json, print_table, print_warnings
 from outrider_networks.budget import budget
 from outrider_networks.fitting import Fit, fit_link
+from outrider_networks.profile_file import check_target, save_profile
 from outrider_networks.scenario_bounds import bounds_for, exceedance, in_runs
 from sim.input.faults import one_line
 from sim.scenario.recordings import read_link
 from sim.scenario.types import Scenario
 
 
-def print_fit(file: Path, out: Path | None, *, rate: float, message_bytes: int, json: bool) -> None:
-    """Fit a recorded link, print the result and draw it."""
+def print_fit(
+    file: Path, out: Path | None, save: str, *, rate: float, message_bytes: int, json: bool
+) -> None:
+    """Fit a recorded link, print the result, save it as a profile and draw it."""
     if out is not None and out.suffix.lower() != ".png":
         raise ScenarioError(f"--out {out}: not a PNG file; allowed: FILE.png")
+    if save:
+        check_target(save)
     recorded = msgspec.structs.replace(read_link(str(file), one_line(str(file))), name=file.name)
     with ERR.status("fitting"):
         found, samples = fit_link(recorded, rate=rate, message_bytes=message_bytes)
@@ -28,10 +33,16 @@ def print_fit(file: Path, out: Path | None, *, rate: float, message_bytes: int, 
         from outrider_networks.picture import draw_fit  # noqa: PLC0415 - matplotlib
 
         draw_fit(found, samples, out)
+    saved = ""
+    if save:
+        about = f"fitted to {found.file}: {found.messages:,} messages, factor {found.factor:.2f}"
+        saved = save_profile(save, found.settings, about)
     if json:
         print_json(found)
         return
     _print(found)
+    if saved:
+        OUT.tell(f"--network {saved}")
     if out is not None:
         OUT.tell(str(out))
 

@@ -88,7 +88,8 @@ NetworkName = Annotated[
     str,
     typer.Option(
         "--network",
-        help=f"Set the profile of all radio links: {', '.join(PROFILES)}.",
+        metavar="PROFILE",
+        help=f"Set the profile of all radio links: {', '.join(PROFILES)}; or FILE.toml[:NAME].",
     ),
 ]
 AllowCode = Annotated[

@@ -16,7 +16,7 @@ from sim.input.faults import Fault, near, one_line
 from sim.input.overrides import apply_override, parse_override
 from sim.input.reading import as_raw, parse_toml, typed
 from sim.scenario.checks import check_scenario
-from sim.scenario.link_tables import with_profiles
+from sim.scenario.link_tables import profiles_in, with_profiles
 from sim.scenario.recordings import traces_in, with_recordings
 from sim.scenario.tracks import with_tracks
 from sim.scenario.types import DEFAULT_AREA, Scenario
@@ -208,7 +208,7 @@ def load_scenario(
         )
     file = one_line(str(source)) or "."
     raw = parse_toml(_read(source, file), file=file)
-    named = traces_in(raw)
+    named, profiles, folder = traces_in(raw), profiles_in(raw), Path(source).parent
     for key, value in _changes(overrides, file):
         apply_override(raw, key, value, file=file)
     if law is not None:
@@ -217,11 +217,11 @@ def load_scenario(
         raw["area"] = {**msgspec.to_builtins(DEFAULT_AREA), **raw["area"]}
     _with_names(raw)
     _with_saved_drivers(raw, file=file)
-    with_profiles(raw, file=file)
+    with_profiles(raw, file=file, folder=folder, inside=profiles)
     scenario = typed(raw, Scenario, file=file, every=every)
     if not scenario.name:
         scenario = msgspec.structs.replace(scenario, name=one_line(Path(source).stem))
     scenario = with_recordings(
-        with_tracks(scenario, file=file), file=file, folder=Path(source).parent, inside=named
+        with_tracks(scenario, file=file), file=file, folder=folder, inside=named
     )
     return check_scenario(scenario, source=file, every=every)

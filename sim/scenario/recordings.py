@@ -1,31 +1,22 @@
 """Traces of a scenario: their files are read once and stored in it."""
 
-import os
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from bus.errors import ScenarioError
-from bus.files import read_regular
 from bus.messages.links import LinkKind
 from sim.channel.recorded import MOST_BYTES, TRACE_RULE, RecordedLink, pack, read_recording
 from sim.input.faults import one_line
+from sim.scenario.link_tables import tables_in
+from sim.scenario.named_files import read_named
 from sim.scenario.types import LinkTable, Scenario
 
 
 def traces_in(raw: dict[str, Any]) -> frozenset[str]:
     """Return the traces that a raw scenario names; other errors in it are ignored."""
-    links = raw.get("links")
-    if not isinstance(links, dict):
-        return frozenset()
-    only = links.get("only")
-    tables = [links, *(only if isinstance(only, list) else [])]
-    kinds = [
-        table.get(str(kind)) for table in tables if isinstance(table, dict) for kind in LinkKind
-    ]
-    names = [kind.get("trace") for kind in kinds if isinstance(kind, dict)]
+    names = [table.get("trace") for table in tables_in(raw)]
     return frozenset(name for name in names if isinstance(name, str))
 
 
@@ -70,28 +61,6 @@ def with_recordings(
 
 def read_link(name: str, where: str, folder: Path | None = None) -> RecordedLink:
     """Read a trace, below `folder` if given; errors are a ScenarioError that begins with `where`."""
-    try:
-        path = Path(name) if folder is None else _below(folder, name, where)
-        data = read_regular(path, MOST_BYTES)
-    except ScenarioError:
-        raise
-    except (OSError, ValueError) as error:  # a ValueError: a NUL in the path
-        reason = one_line(str(getattr(error, "strerror", None) or error))
-        raise ScenarioError(f"{where}: cannot be read: {reason}; allowed: {TRACE_RULE}") from error
+    data = read_named(name, where, folder, most=MOST_BYTES, rule=TRACE_RULE)
     read_recording(data, where=where)
     return pack(name, data)
-
-
-def _below(folder: Path, name: str, where: str) -> Path:
-    """Return the path of a file in this folder or below.
-
-    Raises:
-        ScenarioError: If it lies outside.
-    """
-    path = Path(os.path.realpath(folder / name))
-    if Path(name).is_absolute() or not path.is_relative_to(os.path.realpath(folder)):
-        raise ScenarioError(
-            f"{where}: outside the scenario's folder; allowed: a file in that folder or below, "
-            "or any file with --set"
-        )
-    return path

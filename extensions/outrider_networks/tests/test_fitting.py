@@ -3,10 +3,12 @@
 import json
 import math
 
+import msgspec
 import pytest
 
 from bus.messages.links import LinkSettings
 from bus.profiles import PROFILES
+from outrider.running.resolve import resolve
 from outrider_networks.fitting import fit_link
 from outrider_networks.samples import drawn_sample
 from sim.channel.description import check_link
@@ -114,6 +116,28 @@ def test_the_command_fits_a_mahimahi_file_and_draws_it(here, command, monkeypatc
     assert done.stderr == (
         "outrider: drive: no message arrives; allowed: recordings with received messages\n"
     )
+
+
+def test_saved_fit_flies_as_a_profile(here, command, monkeypatch) -> None:
+    monkeypatch.setattr(*FEW)
+    rows = [f"{k / 20},{0.1 + 0.01 * (k % 7)}" for k in range(400)]
+    (here / "drive.csv").write_text("sent,delay\n" + "\n".join(rows))
+    for save in ("radios.toml", "radios.toml:second"):
+        done = command("network", "fit", "drive.csv", "--save", save, "--json")
+        assert done.returncode == 0, done.stderr
+    fitted = msgspec.convert(json.loads(done.stdout)["settings"], LinkSettings)
+    for name in ("radios", "second"):
+        links = resolve("escort", network=f"radios.toml:{name}")[0].links
+        assert links.detections == links.team == fitted
+    for save, phrase in (
+        ("radios.toml:second", "the file has a profile 'second'"),
+        ("radios.csv", "--save radios.csv: wrong form; allowed: FILE.toml or FILE.toml:NAME"),
+        ("radios.toml:My Radio", "'My Radio' is not a profile's name"),
+        ("drive.csv.toml:x", "drive.csv.toml: profile: missing"),
+    ):
+        (here / "drive.csv.toml").write_text("duration = 1.0")
+        done = command("network", "fit", "drive.csv", "--save", save)
+        assert (done.returncode, phrase in done.stderr) == (2, True), done.stderr
 
 
 def test_the_group_without_a_command_prints_its_help(command) -> None:
