@@ -28,7 +28,7 @@ def draw_fit(fit: Fit, samples: dict[str, Sample], path: Path) -> None:
 
     Args:
         fit: Result of the fit.
-        samples: Samples `recorded`, `fitted` and `nearest`.
+        samples: Samples `recorded`, `fitted` and, if there is one, `nearest`.
         path: PNG file.
 
     Raises:
@@ -37,7 +37,7 @@ def draw_fit(fit: Fit, samples: dict[str, Sample], path: Path) -> None:
     names = {
         "recorded": "recorded",
         "fitted": "fitted settings",
-        "nearest": f"nearest profile: {fit.nearest}",
+        "nearest": f"nearest profile: {fit.nearest}",  # if there is one
     }
     with style.plot_style():
         figure = style.new_figure(1680, 620, header=0.14)

@@ -7,7 +7,7 @@ import numpy as np
 
 from bus.errors import ScenarioError
 from bus.messages.links import LinkSettings
-from sim.channel.description import link_parameters
+from sim.channel.description import link_parameters, longest_wait
 from sim.channel.link_records import LinkParameters
 from sim.channel.links import first_arrivals
 from sim.channel.recorded import Fates, RecordedLink, recording_of
@@ -112,6 +112,8 @@ def drawn_sample(settings: LinkSettings, interval: float) -> Sample:
 
 
 def _played(parameters: LinkParameters, dt: float, messages: int, every: int) -> Sample:
-    arrived = first_arrivals(parameters, _KEY, messages, every=every)
+    # later messages let the last ones arrive
+    later = (parameters.longest + longest_wait(parameters)) // every + 2
+    arrived = first_arrivals(parameters, _KEY, messages + later, every=every)[:messages]
     took = (arrived - np.arange(messages) * every) * dt
     return Sample(every * dt, np.where(arrived >= 0, took, np.nan))

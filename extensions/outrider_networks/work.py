@@ -11,6 +11,7 @@ from bus.numbers import exact
 from outrider.cli.console import ERR, OUT, print_json, print_table, print_warnings
 from outrider_networks.budget import budget
 from outrider_networks.fitting import Fit, fit_link
+from outrider_networks.nearest import MOST_LOSS_RATIO
 from outrider_networks.profile_file import check_target, save_profile
 from outrider_networks.scenario_bounds import bounds_for, exceedance, in_runs
 from sim.input.faults import one_line
@@ -141,9 +142,18 @@ def _print(found: Fit) -> None:
         f"delay: {delays}\n"
         f"lost: {100.0 * found.lost:.3g} %, at most {found.longest_burst:g} s in a row\n"
     )
-    fitted = Text("fitted", style="bold"), Text(f"{found.factor:.2f}", style="bold")
-    profiles = [(f"profile {name}", f"{factor:.2f}") for name, factor in found.profiles.items()]
+    fitted = Text("fitted", style="bold"), Text(f"{found.factor:.2f}", style="bold"), ""
+    profiles = [
+        (f"profile {name}", f"{factor:.2f}", f"{100.0 * found.losses[name]:.2g} %")
+        for name, factor in found.profiles.items()
+    ]
     title = "Time until a message or a later one arrives: mean ratio, 1 is a perfect fit"
-    print_table(("link", "factor"), [fitted, *profiles], title=title, right=("factor",))
+    columns = ("link", "factor", "lost")
+    print_table(columns, [fitted, *profiles], title=title, right=("factor", "lost"))
+    OUT.tell(
+        f"nearest profile with a loss within a factor of {MOST_LOSS_RATIO:g}: {found.nearest}"
+        if found.nearest
+        else f"no profile fits: the loss of each differs by a factor of {MOST_LOSS_RATIO:g} or more"
+    )
     OUT.tell(f"\n{found.toml}")
     print_warnings(found.notes)

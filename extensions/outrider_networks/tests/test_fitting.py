@@ -4,8 +4,11 @@ import json
 import math
 
 import msgspec
+import numpy as np
 import pytest
+from scipy.special import ndtri
 
+from bus.errors import ScenarioError
 from bus.messages.links import LinkSettings
 from bus.profiles import PROFILES
 from outrider.running.resolve import resolve
@@ -88,7 +91,7 @@ def test_the_fit_finds_an_outage_between_opportunities() -> None:
 
 def test_profile_closer_than_the_fit_is_named(monkeypatch) -> None:
     odd = LinkSettings(delay=0.05, reorder=0.3, reorder_delay=1.0)
-    monkeypatch.setattr("outrider_networks.fitting.PROFILES", {"odd": odd})
+    monkeypatch.setattr("outrider_networks.nearest.PROFILES", {"odd": odd})
     fit, _ = fit_link(written(odd, 0.05))
     assert fit.profiles["odd"] < fit.factor
     assert any("the profile odd is closer" in note for note in fit.notes)
@@ -96,8 +99,76 @@ def test_profile_closer_than_the_fit_is_named(monkeypatch) -> None:
 
 def test_the_fit_of_a_steady_link_is_its_delay_and_nothing_else(monkeypatch) -> None:
     monkeypatch.setattr(*FEW)
-    steady = fit_link(a_trace("sent,delay\n0,0.25\n0.1,0.25\n0.2,0.25\n"))[0]
+    rows = "".join(f"{k / 10},0.25\n" for k in range(40))
+    steady = fit_link(a_trace(f"sent,delay\n{rows}"))[0]
     assert steady.settings == LinkSettings(delay=0.25)
+
+
+def random_rows(count: int, loss: float = 0.0, delay: float = 0.02345678) -> str:
+    """Return messages with exponential jitter, of which a share is lost."""
+    rng = np.random.default_rng(5)
+    delays, lost = delay + rng.exponential(0.005, count), rng.random(count) < loss
+    rows = (
+        f"{k / 20},{'lost' if gone else took}"
+        for k, (took, gone) in enumerate(zip(delays.tolist(), lost.tolist(), strict=True))
+    )
+    return "sent,delay\n" + "\n".join(rows)
+
+
+def test_fit_of_few_messages_is_refused_or_has_a_warning(monkeypatch) -> None:
+    monkeypatch.setattr(*FEW)
+    for count, phrase in ((1, "1 message arrives: too few"), (29, "29 messages arrive: too few")):
+        with pytest.raises(ScenarioError, match=phrase):
+            fit_link(a_trace(random_rows(count)))
+    assert (
+        "only 30 messages arrive: losses below 10 %"
+        in fit_link(a_trace(random_rows(30)))[0].notes[0]
+    )
+    assert not fit_link(a_trace(random_rows(300)))[0].notes
+    with pytest.raises(ScenarioError, match=r"smallest delay is 31 s; allowed: 30 s or less"):
+        fit_link(a_trace(random_rows(40, delay=31.0)))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        random_rows(30),
+        random_rows(2000),
+        "sent,delay\n" + "\n".join(f"{k},{0.1234567 + 0.01 * (k * 7 % 40)}" for k in range(400)),
+        "sent,delay\n" + "\n".join(f"{k},{0.30123 + 0.02 * ndtri((k * 7 % 400 + 0.5) / 400)}" for k in range(400)),
+        "sent,delay\n" + "\n".join(f"{k},0.1234567" for k in range(40)),
+    ],
+    ids=["few", "exponential", "uniform", "normal", "steady"],
+)  # fmt: skip
+def test_no_fitted_delay_is_below_the_smallest_recorded_one(text, monkeypatch) -> None:
+    monkeypatch.setattr(*FEW)
+    fit, samples = fit_link(a_trace(text))
+    least, settings = fit.delay["least"], fit.settings
+    assert settings.delay >= least * (1.0 - 1e-9)
+    if settings.jitter_shape == "normal":  # without a lower limit
+        assert settings.jitter * 3.0 <= settings.delay - least
+    elif settings.jitter_shape == "uniform":
+        assert settings.delay - settings.jitter >= least * (1.0 - 1e-9)
+    assert samples["fitted"].arrived[0] >= least - 0.005
+
+
+@pytest.mark.parametrize(
+    ("loss", "nearest"), [(0.0, "wifi"), (0.002, "wifi"), (0.5, "wifi-poor"), (0.94, "wifi-poor")]
+)
+def test_recommended_profile_has_a_similar_loss(loss, nearest, monkeypatch) -> None:
+    monkeypatch.setattr(*FEW)
+    profiles = {name: PROFILES[name] for name in ("perfect", "wifi", "wifi-poor")}
+    monkeypatch.setattr("outrider_networks.nearest.PROFILES", profiles)
+    fit, samples = fit_link(a_trace(random_rows(4000, loss, delay=0.002)))
+    assert fit.nearest == nearest
+    assert fit.losses["wifi"] == pytest.approx(0.002 + 0.5 * 0.05 / 10.05, rel=0.01)
+    monkeypatch.setattr(
+        "outrider_networks.nearest.PROFILES",
+        {"odd": LinkSettings(delay=0.002, loss=1e-6 if loss else 0.1)},
+    )
+    fit, samples = fit_link(a_trace(random_rows(4000, loss, delay=0.002)))
+    assert fit.nearest is None
+    assert "nearest" not in samples
 
 
 def test_the_command_fits_a_mahimahi_file_and_draws_it(here, command, monkeypatch) -> None:
