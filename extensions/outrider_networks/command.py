@@ -7,6 +7,7 @@ import typer
 
 from outrider.cli import options
 from outrider.cli.options import Json
+from outrider_networks.source import Source
 
 if TYPE_CHECKING:
     from sim.scenario.types import Scenario
@@ -27,21 +28,38 @@ def command(context: typer.Context) -> None:
 def fit(
     file: Annotated[
         Path,
-        typer.Argument(help="Mahimahi file, or CSV table with columns sent [s], delay [s]."),
+        typer.Argument(
+            help="CSV table with sent [s] and delay [s], Mahimahi file, rosbag2 folder, or pcap at the sender."
+        ),
     ],
+    received: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Read the capture at the receiver, pcap or pcapng."),
+    ] = None,
+    port: Annotated[
+        int | None,
+        typer.Option(help="Select the captured messages to this UDP port.", min=1, max=65535),
+    ] = None,
+    topic: Annotated[
+        str, typer.Option(metavar="NAME", help="Select a topic with headers in the bag.")
+    ] = "",
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Plot the fit into this PNG.")
     ] = None,
     rate: Annotated[
-        float,
-        typer.Option(help="Set the message rate over a Mahimahi file [1/s].", min=0.1, max=1000),
-    ] = 20.0,
-    message_bytes: Annotated[
-        int,
+        float | None,
         typer.Option(
-            help="Set the message size over a Mahimahi file [bytes].", min=1, max=1_000_000
+            help="Set the message rate over a Mahimahi file [1/s]; default: 20.", min=0.1, max=1000
         ),
-    ] = 1000,
+    ] = None,
+    message_bytes: Annotated[
+        int | None,
+        typer.Option(
+            help="Set the message size over a Mahimahi file [bytes]; default: 1000.",
+            min=1,
+            max=1_000_000,
+        ),
+    ] = None,
     save: Annotated[
         str,
         typer.Option(
@@ -49,19 +67,26 @@ def fit(
             help="Save the fit as a profile for --network; append to a file of profiles.",
         ),
     ] = "",
+    table: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the messages into this CSV, for a link's trace."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Fit link settings and the nearest profile to a recording.
 
     The fit covers delay, jitter and its shape, loss, bursts and random blackouts, and prints the lines for a scenario.
     The factor compares two links by the time until a message, or any later one, has arrived: it is the mean ratio of
-    the quantiles of these times, and 1 is a perfect fit. Duplicates do not show in such a file.
+    the quantiles of these times, and 1 is a perfect fit. Duplicates do not show in such a file. Delays of a bag are
+    receive times minus header stamps, those of captures times at the receiver minus times at the sender: both need
+    synchronized clocks, and the extra [networks].
 
     Example: outrider network fit drive.csv --save drive.toml --out fit.png
     """
-    from outrider_networks.work import print_fit  # noqa: PLC0415 - the compiler
+    from outrider_networks.fit_work import Written, print_fit  # noqa: PLC0415 - the compiler
 
-    print_fit(file, out, save, rate=rate, message_bytes=message_bytes, json=json)
+    source = Source(file, received, topic, port, rate, message_bytes)
+    print_fit(source, Written(out, save, table), json=json)
 
 
 def _resolved(

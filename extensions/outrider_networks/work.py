@@ -1,51 +1,13 @@
-"""Work of `outrider network`."""
+"""Work of `outrider network chances`, `bounds` and `budget`."""
 
 import math
-from pathlib import Path
-
-import msgspec
-from rich.text import Text
 
 from bus.errors import ScenarioError
 from bus.numbers import exact
 from outrider.cli.console import ERR, OUT, print_json, print_table, print_warnings
 from outrider_networks.budget import budget
-from outrider_networks.fitting import Fit, fit_link
-from outrider_networks.nearest import MOST_LOSS_RATIO
-from outrider_networks.profile_file import check_target, save_profile
 from outrider_networks.scenario_bounds import bounds_for, exceedance, in_runs
-from sim.input.faults import one_line
-from sim.scenario.recordings import read_link
 from sim.scenario.types import Scenario
-
-
-def print_fit(
-    file: Path, out: Path | None, save: str, *, rate: float, message_bytes: int, json: bool
-) -> None:
-    """Fit a recorded link, print the result, save it as a profile and draw it."""
-    if out is not None and out.suffix.lower() != ".png":
-        raise ScenarioError(f"--out {out}: not a PNG file; allowed: FILE.png")
-    if save:
-        check_target(save)
-    recorded = msgspec.structs.replace(read_link(str(file), one_line(str(file))), name=file.name)
-    with ERR.status("fitting"):
-        found, samples = fit_link(recorded, rate=rate, message_bytes=message_bytes)
-    if out is not None:
-        from outrider_networks.picture import draw_fit  # noqa: PLC0415 - matplotlib
-
-        draw_fit(found, samples, out)
-    saved = ""
-    if save:
-        about = f"fitted to {found.file}: {found.messages:,} messages, factor {found.factor:.2f}"
-        saved = save_profile(save, found.settings, about)
-    if json:
-        print_json(found)
-        return
-    _print(found)
-    if saved:
-        OUT.tell(f"--network {saved}")
-    if out is not None:
-        OUT.tell(str(out))
 
 
 def _check_risk(risk: float) -> None:
@@ -133,27 +95,3 @@ def _amount(value: float, unit: str) -> str:
     digits = 0 if shown == 0.0 else max(0, 2 - math.floor(math.log10(abs(shown))))
     scale = 10.0**digits
     return f"{math.floor(shown * scale * (1.0 + 1e-9)) / scale:g} {unit or '%'}"
-
-
-def _print(found: Fit) -> None:
-    delays = ", ".join(f"{name} {1000.0 * value:.3g} ms" for name, value in found.delay.items())
-    OUT.tell(
-        f"{found.file}: {found.messages:,} messages, one every {found.interval:g} s\n"
-        f"delay: {delays}\n"
-        f"lost: {100.0 * found.lost:.3g} %, at most {found.longest_burst:g} s in a row\n"
-    )
-    fitted = Text("fitted", style="bold"), Text(f"{found.factor:.2f}", style="bold"), ""
-    profiles = [
-        (f"profile {name}", f"{factor:.2f}", f"{100.0 * found.losses[name]:.2g} %")
-        for name, factor in found.profiles.items()
-    ]
-    title = "Time until a message or a later one arrives: mean ratio, 1 is a perfect fit"
-    columns = ("link", "factor", "lost")
-    print_table(columns, [fitted, *profiles], title=title, right=("factor", "lost"))
-    OUT.tell(
-        f"nearest profile with a loss within a factor of {MOST_LOSS_RATIO:g}: {found.nearest}"
-        if found.nearest
-        else f"no profile fits: the loss of each differs by a factor of {MOST_LOSS_RATIO:g} or more"
-    )
-    OUT.tell(f"\n{found.toml}")
-    print_warnings(found.notes)
