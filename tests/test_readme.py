@@ -27,6 +27,7 @@ from pages import PAGES, ROOT, blocks, run_shown
 from processes import ran, started, wait_until
 from sim.channel.recorded import MOST_BYTES, MOST_LINES
 from sim.engine.briefing import uav_briefing
+from sim.scenario.link_profiles import read_profiles
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from tabular import words
@@ -63,7 +64,8 @@ def test_scenarios_shown_are_valid(tmp_path: Path) -> None:
     assert [loaded(laws).law_of(uav).name for uav in loaded(laws).uav] == ["certified", "lookahead"]
     (robot,) = blocks("toml", "docs/how-to/own-robot.md")
     assert loaded(robot).law.name == "certified"
-    (links,) = blocks("toml", "docs/how-to/network.md")
+    links, profiles = blocks("toml", "docs/how-to/network.md")
+    assert read_profiles(profiles.encode(), "radios.toml")["mesh-far"].loss == 0.08
     settings = loaded(shown + links).links
     assert (settings.commands.delay, settings.detections.jitter_shape) == (0.1, "exponential")
     assert settings.of("uav_0", LinkKind.DETECTIONS).blackouts == ((30.0, 5.0),)

@@ -173,3 +173,34 @@ def bounds(
     from outrider_networks.work import print_bounds  # noqa: PLC0415 - the compiler
 
     print_bounds(_resolved(scenario, changes, duration, law, network), risk, json=json)
+
+
+@app.command()
+def netem(
+    source: Annotated[
+        str,
+        typer.Argument(metavar="SCENARIO|PROFILE", help="Scenario or profile, by name or file."),
+    ],
+    changes: options.Set = None,
+    network: options.NetworkName = "",
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            help="Set the message rate over a profile's link [1/s]; default: 20.", min=0.1, max=1e4
+        ),
+    ] = None,
+    device: Annotated[
+        str, typer.Option(metavar="DEVICE", help="Set the network device in the commands.")
+    ] = "eth0",
+    json: Json = False,
+) -> None:
+    """Print each link as a command for tc-netem, the network emulator of Linux.
+
+    Comments name what netem cannot express. A command acts on all packets that leave a device; use one network
+    namespace or device for each link.
+
+    Example: outrider network netem wifi-poor --rate 50 --device wlan0
+    """
+    from outrider_networks.netem_work import print_netem  # noqa: PLC0415 - the compiler
+
+    print_netem(source, changes=changes, network=network, rate=rate, device=device, json=json)

@@ -75,7 +75,7 @@ def fit_delay(arrived: FloatArray) -> dict[str, Any]:
 
 def _quantiles_off(x: FloatArray, shape: str, limits: _Recorded, wanted: FloatArray) -> float:
     """Return the mean difference of the quantiles' logarithms; x as in `_jittered`."""
-    return float(np.abs(logs(_quantiles(_jittered(x, shape, limits))) - wanted).mean())
+    return float(np.abs(logs(delay_quantiles(_jittered(x, shape, limits))) - wanted).mean())
 
 
 def logs(times: FloatArray) -> FloatArray:
@@ -100,10 +100,11 @@ def _jittered(x: FloatArray, shape: str, limits: _Recorded) -> LinkSettings:
     return LinkSettings(delay=delay, jitter=jitter, jitter_shape=shape, max_jitter=cut)
 
 
-def _quantiles(settings: LinkSettings) -> FloatArray:
+def delay_quantiles(settings: LinkSettings, levels: FloatArray = LEVELS) -> FloatArray:
+    """Return the quantiles of delay and jitter at these levels [s]; the jitter is above 0."""
     least, most = extra_delays(settings)
     shape = SHAPES[settings.jitter_shape]
-    return settings.delay + _extra_quantiles(shape, settings.jitter, least, most, LEVELS)
+    return settings.delay + _extra_quantiles(shape, settings.jitter, least, most, levels)
 
 
 @compiled

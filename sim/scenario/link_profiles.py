@@ -76,6 +76,18 @@ def split_name(name: str) -> tuple[str, str]:
     return (name, "") if name.lower().endswith(".toml") else ("", "")
 
 
+def is_file_of_profiles(source: str) -> bool:
+    """Return true for `FILE.toml:NAME`, and for a TOML file with profiles instead of a scenario."""
+    path, own = split_name(source)
+    if not path or own:
+        return bool(own)
+    try:
+        text = read_named(path, path, None, most=_MOST_BYTES, rule=_FILE_RULE).decode("utf-8-sig")
+        return "profile" in parse_toml(text, file=path)
+    except ValueError:
+        return False  # the reader of scenarios reports it
+
+
 def read_profiles(data: bytes, file: str) -> dict[str, LinkSettings]:
     """Return the profiles of a file by name; there is at least one.
 
