@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from bus.messages.links import LinkKind
+from bus.messages.links import LinkKind, LinkSettings
 from bus.profiles import PROFILES
 from bus.ticks import detection_rows
 from flights import escort
@@ -26,6 +26,9 @@ from worlds import POOR, SEVERAL, SMALL, small, step
 
 HARSH = Detections(noise=0.3, dropout=0.3, rate=5.0)
 CORNER = Region(lower=(2.0, 2.0), upper=(20.0, 20.0))
+TOGETHER = LinkSettings(
+    delay=0.1, jitter=0.2, jitter_shape="exponential", jitter_time=0.6, loss=0.1, duplicates=0.1
+)
 JAMMED = VehicleLinks(vehicle="uav_0", commands=PROFILES["jammed"])
 SCENARIOS: dict[str, Scenario] = {
     "plain": escort(),
@@ -33,6 +36,7 @@ SCENARIOS: dict[str, Scenario] = {
     "covered": escort(coverage=Coverage(desired=1.0, covered=(CORNER,))),
     "several": SEVERAL,
     "network": small("tracking", links=POOR),
+    "late together": small("tracking", links=LinkTable(detections=TOGETHER, commands=TOGETHER)),
     "one link": small("tracking", links=LinkTable(only=(JAMMED,))),
 }
 

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
+from scipy.special import ndtri
 
 from bus.errors import ScenarioError
 from bus.messages.links import LinkSettings, LinkStatus
@@ -284,6 +285,49 @@ def test_delays_follow_the_cut_distribution_in_ticks(shape: str, delay: float, c
     assert flown.status.lost == dict.fromkeys(CAUSES, 0)
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+def test_correlated_delays_keep_their_distribution(shape: str) -> None:
+    delay, jitter, cut, dt, together = 0.5, 0.1, 0.4, 0.001, 0.05
+    given = LinkSettings(delay=delay, jitter=jitter, jitter_shape=shape, max_jitter=cut)
+    flown = Flown(msgspec.structs.replace(given, jitter_time=together), 400_000, dt=dt)
+    apart = Flown(given, 400_000, dt=dt)
+    delays = []
+    for one in (flown, apart):
+        order = np.argsort(one.arrived[:, 1])
+        delays.append(one.delays[order][: 400_000 - one.parameters.longest])
+    ticks = np.arange(flown.parameters.longest + 1)
+    found, wanted = (np.bincount(d, minlength=len(ticks)).cumsum() / len(d) for d in delays)
+    independent = len(delays[0]) * dt / (2.0 * together)
+    assert np.abs(found - wanted).max() < KS / math.sqrt(independent)
+    assert delays[0].max() <= flown.parameters.longest == apart.parameters.longest
+    assert delays[0].min() >= delays[1].min()
+    scores = [ndtri((stats.rankdata(d) - 0.5) / len(d)) for d in delays]
+    for lag in (1, 20, 100):
+        r = float(np.corrcoef(scores[0][:-lag], scores[0][lag:])[0, 1])
+        assert r == pytest.approx(math.exp(-lag * dt / together), abs=0.03)
+        assert abs(np.corrcoef(scores[1][:-lag], scores[1][lag:])[0, 1]) < 0.01
+
+
+def test_messages_of_one_tick_are_late_together() -> None:
+    settings = LinkSettings(delay=0.5, jitter=0.3, jitter_time=0.2, loss=0.2)
+    flown = Flown(settings, 5_000, each=3)
+    times = [set[int]() for _ in range(5_000)]
+    for at, sent, _ in flown.arrived.tolist():
+        times[sent].add(at)
+    assert max(map(len, times)) == 1
+
+
+def test_correlation_ends_with_its_setting() -> None:
+    late = LinkSettings(delay=0.5, jitter=0.3, jitter_time=5.0)
+    apart = msgspec.structs.replace(late, jitter_time=0.0)
+    flown, never = Flown(late, 100), Flown(apart, 100)
+    for one in (flown, never):
+        one.change(apart)
+        one.advance(200)
+    after = [one.arrived[one.arrived[:, 1] >= 100] for one in (flown, never)]
+    assert np.array_equal(*(one[np.lexsort(one.T)] for one in after))
+
+
 def test_only_a_longer_delay_lets_a_message_be_overtaken():
     flown = Flown(LinkSettings(delay=0.2, jitter=0.2), 20_000, each=2)
     order = np.lexsort((flown.arrived[:, 2], flown.arrived[:, 1], flown.arrived[:, 0]))
@@ -357,7 +401,7 @@ spans = st.sampled_from([0.0, 0.0, 0.02, 0.05, 0.3, 1.0])
 @st.composite
 def links(draw: st.DrawFn) -> LinkSettings:
     blackouts = st.lists(st.tuples(st.floats(0.0, 20.0), st.floats(0.01, 3.0)), max_size=3)
-    times = words("delay jitter max_jitter burst_length blackout_interval")
+    times = words("delay jitter max_jitter jitter_time burst_length blackout_interval")
     return LinkSettings(
         **{name: draw(spans) for name in times},
         **{name: draw(shares) for name in words("loss burst_loss duplicates reorder")},

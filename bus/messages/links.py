@@ -35,6 +35,10 @@ class LinkSettings(Message, frozen=True, kw_only=True):
     """Distribution of the extra delay, a row of `sim.channel.jitter.SHAPES`."""
     max_jitter: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
     """Upper bound of the extra delay [s], as if redrawn until in range; lower bound: -delay. 0: 5 x jitter."""
+    jitter_time: Seconds = 0.0
+    """Correlation time of the extra delay [s]: consecutive messages are late together, as behind one queue. 0: each
+    delay is independent.
+    """
     loss: Share = 0.0
     """Share of messages lost, independently."""
     burst_length: Seconds = 0.0

@@ -75,11 +75,11 @@ def fit(
 ) -> None:
     """Fit link settings and the nearest profile to a recording.
 
-    The fit covers delay, jitter and its shape, loss, bursts and random blackouts, and prints the lines for a scenario.
-    The factor compares two links by the time until a message, or any later one, has arrived: it is the mean ratio of
-    the quantiles of these times, and 1 is a perfect fit. Duplicates do not show in such a file. Delays of a bag are
-    receive times minus header stamps, those of captures times at the receiver minus times at the sender: both need
-    synchronized clocks, and the extra [networks].
+    The fit covers delay, jitter, its shape and correlation, loss, bursts and random blackouts, and prints the lines for
+    a scenario. The factor compares two links by the time until a message, or any later one, has arrived: it is the mean
+    ratio of the quantiles of these times, and 1 is a perfect fit. Duplicates do not show in such a file. Delays of a
+    bag are receive times minus header stamps, those of captures times at the receiver minus times at the sender: both
+    need synchronized clocks, and the extra [networks].
 
     Example: outrider network fit drive.csv --save drive.toml --out fit.png
     """

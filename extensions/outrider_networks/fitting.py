@@ -10,7 +10,8 @@ import numpy as np
 from bus.errors import ScenarioError
 from bus.messages.links import LinkSettings
 from bus.numbers import above, below
-from outrider_networks.delay_fit import LONGEST, STEADY, fit_delay
+from outrider_networks.correlation_fit import autocorrelation, with_correlation
+from outrider_networks.delay_fit import LONGEST, fit_delay
 from outrider_networks.loss_fit import fit_blackouts, fit_loss
 from outrider_networks.nearest import ranked_profiles, wait_factor
 from outrider_networks.profile_file import settings_toml
@@ -76,13 +77,13 @@ def fit_link(
     """
     sample = recorded_sample(recorded, rate=rate, message_bytes=message_bytes)
     _check(recorded.name, sample)
-    settings = _rounded(_settings(sample, _outages(recorded)))
+    settings = with_correlation(_rounded(_settings(sample, _outages(recorded))), sample)
     fitted = drawn_sample(settings, sample.interval)
     ranked = ranked_profiles(sample)
     nearest = next((one for one in ranked if one.similar_loss), None)
     delays = np.quantile(sample.arrived, tuple(_DELAYS.values())).tolist()
     factor = wait_factor(sample, fitted)
-    notes = list(_notes(recorded, sample))
+    notes = list(_notes(recorded, sample, settings))
     if nearest is not None and nearest.factor < factor:
         notes.append(
             f"the profile {nearest.name} is closer ({below(nearest.factor, factor, 3)}) than the fit "
@@ -132,22 +133,19 @@ def as_toml(settings: LinkSettings) -> str:
     return f"[links.detections]    # or commands, operator, radio\n{settings_toml(settings)}"
 
 
-def _notes(recorded: RecordedLink, sample: Sample) -> Iterator[str]:
+def _notes(recorded: RecordedLink, sample: Sample, settings: LinkSettings) -> Iterator[str]:
     recording, received = recording_of(recorded), sample.arrived.size
     if received < _FEW:
         yield (
             f"only {received} messages arrive: losses below {300.0 / len(sample.delay):.2g} % do not show, and the "
             f"largest delays are missing; record {_FEW} messages or more"
         )
-    before, after = sample.delay[:-1], sample.delay[1:]
-    both = ~np.isnan(before) & ~np.isnan(after)
-    if both.sum() > 2 and before[both].std() > STEADY and after[both].std() > STEADY:
-        r = float(np.corrcoef(before[both], after[both])[0, 1])
-        if r > _CORRELATED:
-            yield (
-                f"consecutive delays are correlated (r = {r:.2f}), but simulated delays are independent and reorder "
-                "messages: replay the file if that matters"
-            )
+    r = autocorrelation(sample, 1)
+    if r > _CORRELATED and settings.jitter_time == 0.0:
+        yield (
+            f"consecutive delays are correlated (r = {r:.2f}), but independent ones are closer in their waits: "
+            "replay the file if that matters"
+        )
     if isinstance(recording, Fates):
         gaps = np.diff(recording.sent)
         if (

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bus.messages.links import LinkSettings
-from bus.ticks import TICK_TOLERANCE
+from bus.ticks import TICK_TOLERANCE, first_tick_from
 from outrider_networks.automaton import Plan, Window, endless_window, window_of
 from outrider_networks.link_runs import MOST_CELLS, SUMMED, DrawnRun, LinkRun, RecordedRun
 from outrider_networks.recorded_positions import (
@@ -44,8 +44,9 @@ def detections_run(
     reasons = _reasons(parameters, by_delay)
     sent = np.arange(ticks) % period == 0
     queued = parameters.spacing > period + TICK_TOLERANCE
+    soonest = _soonest(parameters, by_delay)
     plan = Plan(
-        functools.partial(_age_window, by_delay, 0),
+        functools.partial(_age_window, by_delay, soonest, 0),
         lambda _: endless_window(ticks),
         ((1.0, sent & left),),
         sent,
@@ -97,6 +98,8 @@ def _reasons(parameters: LinkParameters, by_delay: FloatArray) -> list[str]:
     reasons = []
     if len(set(by_delay.tolist()) - {0.0}) > 1:
         reasons.append("delays vary")
+    if parameters.memory > 0.0:
+        reasons.append("delays are correlated, so that the longest is assumed for each message")
     if parameters.up > 0.0:
         reasons.append("blackouts are random")
     return reasons
@@ -106,9 +109,16 @@ def _because(reasons: list[str]) -> str:
     return f"{SUMMED}: {', '.join(reasons)}" if reasons else ""
 
 
-def _age_window(by_delay: FloatArray, waited: int, age: int) -> Window:
+def _soonest(parameters: LinkParameters, by_delay: FloatArray) -> int:
+    """Return the delay before which no message arrives [ticks]."""
+    if parameters.memory == 0.0:
+        return int(np.flatnonzero(by_delay)[0])
+    return first_tick_from(parameters.settings.delay + parameters.least, parameters.dt)
+
+
+def _age_window(by_delay: FloatArray, soonest: int, waited: int, age: int) -> Window:
     """Return the window for an age, with a queuing time before departure [ticks]."""
-    fails = max(age - waited + 1, int(np.flatnonzero(by_delay)[0]))
+    fails = max(age - waited + 1, soonest)
     return window_of(age_window(age, waited), by_delay, fails)
 
 
@@ -186,7 +196,7 @@ def _queued(
             for miss in begins
         )
         yield plan._replace(
-            window=functools.partial(_age_window, by_delay, waited),
+            window=functools.partial(_age_window, by_delay, _soonest(parameters, by_delay), waited),
             schedules=schedules,
             regular=_slots(parameters, 0, ticks),
             extra=extra,

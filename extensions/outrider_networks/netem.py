@@ -67,7 +67,7 @@ def netem_line(link: str, settings: LinkSettings, rate: float, device: str) -> N
     if settings.trace:
         why = f"trace = {settings.trace!r}: netem replays no recording; fit it first"
         return NetemLine(link=link, rate=rate, command=None, differences=[why])
-    parts = [_delay(settings), _loss(settings, rate), *_others(settings, rate)]
+    parts = [_delay(settings, rate), _loss(settings, rate), *_others(settings, rate)]
     options = " ".join(part.options for part in parts if part.options)
     return NetemLine(
         link=link,
@@ -77,16 +77,25 @@ def netem_line(link: str, settings: LinkSettings, rate: float, device: str) -> N
     )
 
 
-def _delay(settings: LinkSettings) -> _Part:
+def _delay(settings: LinkSettings, rate: float) -> _Part:
     """Return delay and jitter; without a distribution, the kernel draws uniformly from mean - jitter to mean + jitter.
 
     The table `pareto` has the link's smallest and mean delay.
     """
     if settings.jitter == 0.0:
         return _Part(f"delay {_ms(settings.delay)}" if settings.delay > 0.0 else "")
+    correlation, narrower = "", tuple[str, ...]()
+    if settings.jitter_time > 0.0:
+        correlation = f" {_percent(math.exp(-1.0 / (rate * settings.jitter_time)))}"
+        why = (
+            f"jitter_time: correlated from one message to the next, right for {rate:g} messages per second; "
+            "netem's correlation narrows the distribution"
+        )
+        narrower = (why,)
     least, most = (settings.delay + extra for extra in extra_delays(settings))
     if settings.jitter_shape == "uniform":
-        return _Part(f"delay {_ms(0.5 * (least + most))} {_ms(0.5 * (most - least))}")
+        half = f"{_ms(0.5 * (most - least))}{correlation}"
+        return _Part(f"delay {_ms(0.5 * (least + most))} {half}", narrower)
     drawn = delay_quantiles(settings, _LEVELS)
     mean = float(drawn.mean())
     if settings.jitter_shape == "normal":
@@ -101,7 +110,8 @@ def _delay(settings: LinkSettings) -> _Part:
         f"jitter_shape = {settings.jitter_shape!r}: {kind}, from {_ms(max(limits[0], 0.0))} to {_ms(limits[1])} "
         f"instead of {_ms(least)} to {_ms(most)}"
     )
-    return _Part(f"delay {_ms(mean)} {_ms(scale)} distribution {shape}", (why,))
+    options = f"delay {_ms(mean)} {_ms(scale)}{correlation} distribution {shape}"
+    return _Part(options, (why, *narrower))
 
 
 def _loss(settings: LinkSettings, rate: float) -> _Part:

@@ -204,6 +204,9 @@ def link_parameters(
     $\lambda = 1/L + 1/I$, the exponential of the generator gives the probability of bad after bad $\pi + (1 - \pi)
     e^{-\lambda dt}$ and of bad after good $\pi (1 - e^{-\lambda dt})$.
 
+    A correlated extra delay is the quantile at $\Phi(z)$ of a normal process z with the correlation $e^{-t/T}$, so that
+    its distribution is that of independent ones.
+
     Args:
         settings: As returned by `check_link`.
         dt: Duration of a tick [s].
@@ -213,6 +216,7 @@ def link_parameters(
     replay, trace, period = _trace_rows(found(traces, settings.trace), settings.delay, dt)
     least, most = extra_delays(settings)
     shape, j = SHAPES[settings.jitter_shape], settings.jitter
+    correlated = j > 0.0 and settings.jitter_time > 0.0
     bursts = settings.burst_length > 0.0
     share = decay = 0.0
     if bursts:
@@ -247,6 +251,8 @@ def link_parameters(
         bad_share=share,
         bad_stay=1.0 - (1.0 - share) * decay,
         bad_enter=share * decay,
+        memory=math.exp(-dt / settings.jitter_time) if correlated else 0.0,
+        innovation=math.sqrt(-math.expm1(-2.0 * dt / settings.jitter_time)) if correlated else 1.0,
         blackouts=blackouts,
         up=settings.blackout_interval / dt,
         down=settings.blackout_length / dt,

@@ -65,8 +65,14 @@ def command_window(delay: int, repeats: int, interval: int) -> IntArray:
 
 
 def shares_by_delay(parameters: LinkParameters) -> FloatArray:
-    """Return the shares of messages that arrive within 0, 1, ... ticks, of those not lost; the last is 1."""
+    """Return the shares of messages that arrive within 0, 1, ... ticks, of those not lost; the last is 1.
+
+    If delays are correlated, the shares of several messages cannot be multiplied. Then every message is taken to need
+    the longest delay: it arrives no later, so that all that follows for messages in time is a lower bound.
+    """
     longest = parameters.longest
+    if parameters.memory > 0.0:
+        return np.append(np.zeros(longest), 1.0)
     step = 1 + longest // _MOST_DELAYS
     shares = [arrival_share(parameters, ticks) for ticks in range(0, longest, step)]
     return np.append(np.repeat(shares, step)[:longest], 1.0)

@@ -9,7 +9,8 @@ A packet passes these stages:
 2. The channel at the tick at which the packet leaves. A blackout, a burst or independent loss drops it; the first of
    them is counted as the cause. The sender does not notice.
 3. A packet that gets through may be duplicated. Each copy has its own delay: delay + jitter, and `reorder_delay` for
-   reordered packets. A packet that leaves at tick k with the delay d arrives at the first tick n with n dt >= k dt + d.
+   reordered packets. With `jitter_time`, the jitter of all packets (not of copies) is the quantile of one process in
+   time. A packet that leaves at tick k with the delay d arrives at the first tick n with n dt >= k dt + d.
    Packets of one tick arrive in the order in which they left.
 
 A trace (`LinkParameters.replay`) is replayed in a loop from an offset that is drawn once from the link's key. In a
@@ -30,7 +31,7 @@ import math
 import numpy as np
 
 from bus.ticks import TICK_TOLERANCE, first_tick_from
-from sim.channel.jitter import jitter_quantile
+from sim.channel.jitter import jitter_quantile, normal_quantile
 from sim.channel.link_records import (
     ARRIVED,
     BLACKOUT,
@@ -60,7 +61,8 @@ from sim.models.randomness import (
     uniform,
 )
 
-_ZERO, _ONE = constant(0), constant(1)
+_ZERO, _ONE, _TWO = constant(0), constant(1), constant(2)
+_SMALLEST = 2.0**-54
 
 
 _first_tick_from = compiled(first_tick_from)
@@ -193,6 +195,8 @@ def _transmit(link: Link, packets: RecordArray, w: int, packet: Packet, later: f
     if s.jitter > 0.0 or twice:
         word_0, word_1, word_2, _ = draw(key, LINK_DELAY, packet.sent_at, packet.number)
         share, share_too = to_uniform(word_0), to_uniform(word_1)
+        if p.memory > 0.0:
+            share = 0.5 * math.erfc(-link.score / math.sqrt(2.0))
         reordered_too = to_uniform(word_2) < s.reorder
     _transport(link, packets, w, packet, link.tick + _transit_time(p, share, reordered, later))
     if twice and link.in_transit < link.room:
@@ -221,8 +225,18 @@ def _in_random_blackout(link: Link, tick: int) -> bool:
 
 
 @compiled
+def _draw_score(link: Link, tick: int) -> None:
+    """Draw the normal score of this tick's extra delays: a stationary process, correlated with the last tick's."""
+    share = max(uniform(_key_of(link), LINK_STATE, tick, _TWO), _SMALLEST)
+    score = normal_quantile(share)
+    if not math.isnan(link.score):
+        score = link.parameters.memory * link.score + link.parameters.innovation * score
+    link.score = score
+
+
+@compiled
 def _draw_channel(link: Link, traces: IntArray, tick: int) -> None:
-    """Start a tick with the state of the channel: good or bad, blackout or not."""
+    """Start a tick with the state of the channel: good or bad, late or early, blackout or not."""
     p = link.parameters
     link.tick, link.index = tick, 0
     if p.perfect and link.queued == 0:
@@ -232,6 +246,8 @@ def _draw_channel(link: Link, traces: IntArray, tick: int) -> None:
         if link.bad < 0:
             chance = p.bad_share
         link.bad = 1 if uniform(_key_of(link), LINK_STATE, tick, _ZERO) < chance else 0
+    if p.memory > 0.0:
+        _draw_score(link, tick)
     row = _first_after(traces, 1, p.first_blackout, p.end_blackout, tick)
     blackout = row < p.end_blackout and traces[row, 0] <= tick
     if p.up > 0.0:

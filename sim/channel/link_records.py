@@ -50,6 +50,10 @@ class LinkParameters(NamedTuple):
     bad_stay: float
     bad_enter: float
     """Probability of the bad state at the start, after a bad tick, and after a good tick."""
+    memory: float
+    """Correlation of the delays' normal scores from one tick to the next; 0: each delay is independent."""
+    innovation: float
+    """Standard deviation of their change, given the last score."""
     blackouts: IntArray
     """Rows (first tick of a blackout, first tick after it), in order and disjoint."""
     up: float
@@ -127,6 +131,8 @@ class Link:
     blackout_begin: float
     blackout_end: float
     """Start and end of the random blackout; -1: none drawn yet."""
+    score: float
+    """Normal score of the extra delay at this tick, if delays are correlated; NaN: not drawn yet."""
     newest: float
     """Newest received stamp; NaN: none."""
     age_sum: float
@@ -170,7 +176,7 @@ def reset_links(links: RecordArray) -> None:
             links[name] = 0
     for name in ("tick", "bad", "blackout_begin", "blackout_end"):
         links[name] = -1
-    links["newest"] = math.nan
+    links["newest"] = links["score"] = math.nan
 
 
 def no_packets(*shape: int) -> RecordArray:

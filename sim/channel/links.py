@@ -199,6 +199,8 @@ def _change_channel(link: Any, new: LinkParameters) -> None:  # noqa: ANN401 - a
     link["blackout"] = False
     if not new.bursts:
         link["bad"] = -1
+    if new.memory == 0.0:
+        link["score"] = np.nan
     if (old_up, old_down) == (new.up, new.down):
         return
     if new.up == 0.0 or old_up == 0.0:

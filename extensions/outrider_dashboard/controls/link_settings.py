@@ -21,7 +21,7 @@ _BURST_INTERVAL = 5.0
 _Describe = Callable[[LinkSettings], str]
 _PHRASES: tuple[tuple[tuple[str, ...], _Describe], ...] = (
     (("delay",), lambda s: f"delay {s.delay:g} s"),
-    (("jitter", "jitter_shape", "max_jitter"), lambda s: f"jitter {s.jitter:g} s"),
+    (("jitter", "jitter_shape", "max_jitter", "jitter_time"), lambda s: f"jitter {s.jitter:g} s"),
     (("loss",), lambda s: f"loss {100 * s.loss:.3g} %"),
     (
         ("burst_length", "burst_interval", "burst_loss"),

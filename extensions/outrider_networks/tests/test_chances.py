@@ -159,6 +159,9 @@ AGES: list[tuple[dict[str, Any], int, float]] = [
     ({"loss": 0.1, **BLACKOUTS, **BURSTS, "blackouts": ((3.0, 0.5),)}, 1, 1.3),
     ({"loss": 0.1, "delay": 0.1, **LATE, "duplicates": 0.1}, 2, 0.5),
     ({"loss": 0.1, "delay": 0.1, "reorder": 0.2, "reorder_delay": 0.3}, 2, 0.8),
+    ({"loss": 0.1, "delay": 0.1, **LATE, "jitter_time": 0.5}, 2, 0.8),
+    ({"loss": 0.3, "delay": 0.1, **LATE, "jitter_time": 2.0}, 1, 0.7),
+    ({"loss": 0.1, "delay": 0.1, **LATE, "jitter_time": 2.0, **BLACKOUTS}, 2, 1.0),
     ({"loss": 0.2, "delay": 0.1, "bandwidth": 3.0, "queue": 2}, 1, 1.6),
     ({"loss": 0.2, "bandwidth": 2.4, "queue": 1, "keep": "oldest"}, 1, 2.2),
 ]
@@ -170,6 +173,7 @@ INTERVALS: list[tuple[dict[str, Any], int, int, float]] = [
     ({"loss": 0.05, "blackouts": ((0.0, 0.5), (5.0, 0.3))}, 3, 6, 0.6),
     ({"loss": 0.05, **BLACKOUTS}, 3, 6, 1.0),
     ({"loss": 0.05, "delay": 0.1, **LATE}, 6, 6, 0.5),
+    ({"loss": 0.05, "delay": 0.1, **LATE, "jitter_time": 0.3}, 6, 6, 0.5),
     ({"loss": 0.05, "delay": 0.1, **LATE, **BLACKOUTS, "blackouts": ((6.0, 0.4),)}, 8, 6, 1.0),
 ]
 

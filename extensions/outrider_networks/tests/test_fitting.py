@@ -12,6 +12,7 @@ from bus.errors import ScenarioError
 from bus.messages.links import LinkSettings
 from bus.profiles import PROFILES
 from outrider.running.resolve import resolve
+from outrider_networks.correlation_fit import autocorrelation
 from outrider_networks.fitting import fit_link
 from outrider_networks.samples import drawn_sample
 from sim.channel.description import check_link
@@ -78,6 +79,19 @@ def test_fit_distinguishes_blackouts_from_single_losses(monkeypatch: pytest.Monk
         ),  # three standard deviations: there are only some forty blackouts
     ):
         assert getattr(found, field) == pytest.approx(getattr(wanted, field), rel=within), field
+
+
+@pytest.mark.parametrize("shape", ["exponential", "normal"])
+def test_fit_recovers_the_correlation_time_of_delays(shape) -> None:
+    wanted = LinkSettings(
+        delay=0.2, jitter=0.03, jitter_shape=shape, max_jitter=0.15, jitter_time=0.4, loss=0.05
+    )
+    fit, samples = fit_link(written(wanted, 0.05))
+    assert fit.settings.jitter_time == pytest.approx(0.4, rel=0.15)
+    assert fit.factor < 1.1
+    assert autocorrelation(samples["fitted"], 4) == pytest.approx(math.exp(-0.5), abs=0.07)
+    apart = msgspec.structs.replace(wanted, jitter_time=0.0)
+    assert fit_link(written(apart, 0.05))[0].settings.jitter_time == 0.0
 
 
 def test_the_fit_finds_an_outage_between_opportunities() -> None:

@@ -27,6 +27,7 @@ def options(settings, rate=20.0):
         (LinkSettings(delay=0.02, loss=0.015), "delay 20ms loss random 1.5%"),
         (LinkSettings(delay=0.02, jitter=0.005), "delay 20ms 5ms"),
         (LinkSettings(delay=0.002, jitter=0.005), "delay 3.5ms 3.5ms"),  # from -delay to jitter
+        (LinkSettings(delay=0.02, jitter=0.005, jitter_time=0.05), "delay 20ms 5ms 36.7879%"),
         (LinkSettings(duplicates=0.01), "duplicate 1%"),
         (
             LinkSettings(delay=0.5, bandwidth=4.0, queue=3, message_bytes=100),
@@ -63,12 +64,14 @@ def test_loss_model_has_the_share_and_length_of_the_bursts(name, rate) -> None:
 
 def test_all_that_netem_lacks_is_named() -> None:
     settings = LinkSettings(
-        delay=0.01, jitter=0.02, jitter_shape="normal", burst_length=1.0, burst_interval=5.0, reorder=0.1,
-        reorder_delay=0.1, blackouts=((3.0, 1.0),), blackout_interval=9.0, blackout_length=1.0, bandwidth=5.0,
+        delay=0.01, jitter=0.02, jitter_shape="normal", jitter_time=1.0, burst_length=1.0, burst_interval=5.0,
+        reorder=0.1, reorder_delay=0.1, blackouts=((3.0, 1.0),), blackout_interval=9.0, blackout_length=1.0,
+        bandwidth=5.0,
     )  # fmt: skip
     found = " | ".join(netem_line("mine", settings, 20.0, "eth0").differences)
     for word in (
-        "jitter_shape", "bursts", "reorder", "blackouts: 1 planned", "blackout_interval", "bandwidth", "queue", "keep",
+        "jitter_shape", "jitter_time", "bursts", "reorder", "blackouts: 1 planned", "blackout_interval", "bandwidth",
+        "queue", "keep",
     ):  # fmt: skip
         assert word in found
     line = netem_line("mine", LinkSettings(trace="drive.csv"), 20.0, "eth0")
@@ -87,11 +90,14 @@ def test_each_link_of_a_scenario_has_its_settings_and_rate() -> None:
     assert command.rate == 20.0
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+LATE = LinkSettings(delay=0.1, jitter=0.1, jitter_shape="exponential", jitter_time=0.3)
+
+
+@pytest.mark.parametrize("name", [*SHIPPED, "late"])
 def test_tc_accepts_the_commands(name) -> None:
     if shutil.which("tc") is None:
         pytest.skip("iproute2 is not installed")
-    command = netem_line(name, SHIPPED[name], 20.0, "outrider-none").command
+    command = netem_line(name, SHIPPED.get(name, LATE), 20.0, "outrider-none").command
     done = subprocess.run(command.split(), capture_output=True, text=True, check=False)
     # options are parsed before the device is searched for
     assert "Cannot find device" in done.stderr, done.stderr

@@ -8,6 +8,7 @@ _LINK = {
     "delay": ("delay", "s"),
     "jitter": ("jitter", "s"),
     "max_jitter": ("largest jitter", "s"),
+    "jitter_time": ("correlation time of the jitter", "s"),
     "loss": ("loss", "%"),
     "burst_length": ("burst length", "s"),
     "burst_interval": ("burst interval", "s"),
