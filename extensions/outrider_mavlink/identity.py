@@ -7,11 +7,11 @@ import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
+from bus.geodesy import geodetic
 from bus.messages.base import Covariance, Vector
 from bus.messages.scenario import Origin
 from bus.messages.team import Role
 from outrider_mavlink.dialect import MavMessage, mavlink
-from outrider_mavlink.geodesy import geodetic
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 _MIN_COURSE_SPEED = 0.01

@@ -11,6 +11,7 @@ import sys
 import traceback
 from collections.abc import Callable
 from importlib import import_module, metadata
+from importlib.metadata import EntryPoint
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -105,9 +106,18 @@ def make_app(*, whole: bool = False) -> typer.Typer:
         help_without_command(context)
 
     add = _add_whole if whole else _add
+    registered = plugins.registered("commands")
     for name, (where, line) in COMMANDS.items():
-        add(app, name, functools.partial(_attribute, where), line)
-    for name, entry in sorted(plugins.registered("commands").items()):
+        inner = {
+            other.removeprefix(f"{name}."): entry
+            for other, entry in sorted(registered.items())
+            if other.startswith(f"{name}.")
+        }
+        load = functools.partial(_attribute, where)
+        add(app, name, functools.partial(_with_subcommands, load, inner) if inner else load, line)
+    for name, entry in sorted(registered.items()):
+        if name.partition(".")[0] in COMMANDS and "." in name:
+            continue
         load = functools.partial(plugins.load, entry)
         try:
             fault = _name_fault(name)
@@ -132,6 +142,20 @@ def _name_fault(name: str) -> str:
 def _attribute(where: str) -> Any:  # noqa: ANN401 - a command or an app
     module, _, name = where.partition(":")
     return getattr(import_module(module), name)
+
+
+def _with_subcommands(load: Callable[[], Any], entries: dict[str, EntryPoint]) -> Any:  # noqa: ANN401 - an app
+    """Return a group of commands with the subcommands of extensions; one that cannot be added is ignored."""
+    group = load()
+    for name, entry in entries.items():
+        try:
+            if not isinstance(group, typer.Typer):
+                raise OutriderError("not a group of commands")
+            if plugins.is_installed(entry):
+                group.command(name)(_interruptible(plugins.load(entry)))
+        except OutriderError as error:
+            plugins.ignore(entry, error)
+    return group
 
 
 def _add(

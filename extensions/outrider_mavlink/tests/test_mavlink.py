@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus.errors import ScenarioError
+from bus.geodesy import geodetic
 from bus.messages.control import Action
 from bus.messages.decision import NotCertified
 from bus.messages.scenario import Origin
@@ -29,7 +30,6 @@ from outrider_mavlink.gateway import (
     SECOND_STATION,
     TOO_MANY,
 )
-from outrider_mavlink.geodesy import geodetic
 from outrider_mavlink.run_gateway import RunGateway
 from outrider_mavlink.udp import MAX_PEERS, UNREADABLE, Address, Network, parse_address
 from sim.scenario.loading import load_scenario

@@ -1,0 +1,1 @@
+"""Import real towns as scenarios."""
