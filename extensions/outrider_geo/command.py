@@ -66,7 +66,7 @@ def command(
     ] = 1.0,
     simplify: Annotated[
         float,
-        typer.Option(help="Move walls outwards by at most this [m].", min=0.01, max=10.0),
+        typer.Option(help="Move walls outwards by at most this [m].", min=0.05, max=10.0),
     ] = 0.3,
     min_area: Annotated[
         float,

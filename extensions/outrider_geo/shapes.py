@@ -14,17 +14,18 @@ from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from bus.messages.buildings import MOST_BUILDING_CORNERS
-from sim.compiling.compile import FloatArray
+from sim.compiling.compile import FloatArray, IntArray
 
 Polygons = list[Polygon]
 
 APART = 0.01
 """Smallest distance between two footprints [m]."""
-LEAST_TOLERANCE = 0.01
-"""Smallest tolerance of a simplification [m]: the grid moves corners by less than a millimetre."""
 _GRID = 1e-3
 """Grid of the corners [m]."""
-_POLYGONAL = ("Polygon", "MultiPolygon")
+_THICKER = 2.0 * _GRID
+"""Distance by which all walls move outwards first [m]."""
+_SLACK = 5.0 * _GRID
+"""Least distance by which simplified walls move outwards [m]; corners then move to the grid."""
 _GROWN = 0.4
 """Share of the tolerance by which walls move outwards before corners are removed, within the same share."""
 _MITRE = 1.5
@@ -63,23 +64,26 @@ def contacts(shapes: Sequence[BaseGeometry]) -> int:
     return len(_near(shapes, _GRID))
 
 
-def _near(shapes: Sequence[BaseGeometry], distance: float) -> FloatArray:
+def _near(shapes: Sequence[BaseGeometry], distance: float) -> IntArray:
     """Return the pairs of geometries within a distance [m]. Shape (pairs, 2)."""
+    if len(shapes) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
     one, other = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=distance)
-    pairs: FloatArray = np.column_stack([one, other])[one < other]
+    pairs: IntArray = np.column_stack([one, other])[one < other]
     return pairs
 
 
 def merged(shapes: Sequence[BaseGeometry], gap: float) -> Polygons:
     """Return the union of geometries, with gaps narrower than `gap` closed [m]; holes remain."""
-    # lines, to which an invalid polygon may be reduced, are walls too
-    walls = [one if one.geom_type in _POLYGONAL else _wall(one) for one in shapes]
-    half = 0.5 * gap
-    return _parts(_grown(_grown(shapely.union_all(walls), half), -half))
+    # a little thicker, so that even a line, to which an invalid polygon may be reduced, stays on the grid
+    union, half = _union([_grown(one, _THICKER) for one in shapes]), 0.5 * gap
+    # beside sharp corners, shrinking takes away a little more than growing added
+    return _parts(_union([_grown(_grown(union, half), -half), union]))
 
 
-def _wall(shape: BaseGeometry) -> BaseGeometry:
-    return shapely.buffer(shape, _GRID, join_style="mitre")
+def _union(shapes: Sequence[BaseGeometry]) -> BaseGeometry:
+    """Return the union of geometries, with corners on the grid, which makes it robust."""
+    return shapely.union_all(shapes, grid_size=_GRID)
 
 
 def _grown(shape: BaseGeometry, distance: float) -> BaseGeometry:
@@ -91,23 +95,23 @@ def _parts(shape: BaseGeometry) -> Polygons:
 
 
 def courts(polygons: Sequence[Polygon]) -> Polygons:
-    """Return the holes of polygons."""
-    return [Polygon(ring) for one in polygons for ring in one.interiors]
+    """Return the holes of polygons, without those that are due to rounding."""
+    holes = [Polygon(ring) for one in polygons for ring in one.interiors]
+    return [one for one in holes if one.area > _GRID]
 
 
 def filled(polygons: Sequence[Polygon]) -> Polygons:
     """Return polygons with their holes filled, and united with what stands inside them."""
-    outer = shapely.polygons([shapely.get_exterior_ring(one) for one in polygons])
-    return _parts(shapely.union_all(outer)) if len(polygons) else []
+    return _parts(_union([Polygon(one.exterior) for one in polygons]))
 
 
 def simplified(polygon: Polygon, tolerance: float) -> Polygon:
     """Return a polygon with fewer corners that contains a given one, and exceeds it by at most `tolerance` [m]."""
     step = _GROWN * tolerance
-    grown = _outer(_grown(polygon, step))
-    fewer = shapely.simplify(grown, step)
-    if not (isinstance(fewer, Polygon) and shapely.covers(fewer, polygon)):
-        fewer = _outer(shapely.union(fewer, _grown(polygon, 0.25 * step)))
+    fewer = shapely.simplify(_outer(_grown(polygon, step)), step - _SLACK)
+    least = _grown(polygon, _SLACK)  # moving corners to the grid may not uncover a wall
+    if not (isinstance(fewer, Polygon) and shapely.covers(fewer, least)):
+        fewer = _outer(_union([fewer, least]))
     return fewer
 
 
@@ -153,8 +157,8 @@ def corners_of(polygon: Polygon) -> int:
 
 def _clipped(polygons: Sequence[Polygon], area: Polygon) -> Polygons:
     """Return the parts of polygons inside an area, with corners on the grid, without holes."""
-    inside = shapely.set_precision(shapely.intersection(list(polygons), area), _GRID)
-    return filled([part for one in inside.tolist() for part in _parts(one)]) if len(inside) else []
+    inside = [shapely.intersection(one, area, grid_size=_GRID) for one in polygons]
+    return filled([part for one in inside for part in _parts(one)])
 
 
 def _groups(polygons: Polygons) -> list[Polygons]:
@@ -182,4 +186,4 @@ def _joined(group: Polygons) -> Polygon:
         )
         for i, j in _near(group, APART).tolist()
     ]
-    return _outer(shapely.union_all([*group, *bridges]))
+    return _outer(_union([*group, *bridges]))

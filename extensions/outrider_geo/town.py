@@ -28,6 +28,8 @@ _LATITUDES = 80.0
 """Largest latitude of a scenario's origin [deg]."""
 _CELLS = ((500.0, 0.5), (1000.0, 1.0), (WIDEST, 2.0))
 """Sides of tiles and cells by the largest side of the area [m]: at most a million tiles."""
+_STRAIGHT = 1e-3
+"""Largest distance of a corner from a straight wall [m]."""
 _STEP = 0.95
 """Ratio of the sides that are tried one after the other."""
 
@@ -193,6 +195,8 @@ def _town(found: Buildings, options: Options, area: Area, origin: Origin) -> Tow
     fewer = [shapes.simplified(one, options.tolerance) for one in large]
     footprints = shapes.apart(fewer, box, options.tolerance)
     steps.append(_step("simplified", footprints))
+    if not footprints:
+        return Town(area, origin, (), tuple(steps), counts, 0.0)
     highest = _heights(footprints, walls, heights)
     counts["raised"] = _raised(footprints, walls, heights, highest)
     uncovered = shapely.difference(shapely.union_all(walls), shapely.union_all(footprints)).area
@@ -203,7 +207,9 @@ def _town(found: Buildings, options: Options, area: Area, origin: Origin) -> Tow
     return Town(area, origin, buildings, tuple(steps), counts, float(uncovered))
 
 
-def _step(name: str, found: Sequence[BaseGeometry]) -> Step:
+def _step(name: str, shapes_found: Sequence[BaseGeometry]) -> Step:
+    """Return the counts of geometries; corners in a straight wall do not count."""
+    found = [shapely.simplify(one, _STRAIGHT) for one in shapes_found]
     corners = int(shapely.get_num_coordinates(found).sum()) if found else 0
     rings = sum(
         1 + len(part.interiors)

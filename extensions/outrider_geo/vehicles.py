@@ -40,7 +40,7 @@ BAND = 10.0
 _PACE = 0.8
 """Share of its largest speed at which a cautious UGV is expected to travel."""
 _MARGIN = 2
-"""Tiles between stops and the ground that is too near to a building."""
+"""Tiles between stops and the ground that is too near to a building, where there is room for them."""
 
 
 class Vehicles(NamedTuple):
@@ -127,11 +127,15 @@ def _open_tiles(town: Town, clearance: float) -> BoolArray:
 
 
 def _largest_region(tiles: BoolArray) -> BoolArray:
-    """Return the tiles of the largest connected region that are away from its edge. Shape (rows, columns)."""
+    """Return the tiles of the largest connected region, away from its edge. Shape (rows, columns)."""
     regions, _ = label(tiles)
     sizes = np.bincount(regions.ravel())
     sizes[0] = 0
     region = (regions == int(sizes.argmax())) & tiles
-    around = np.ones((3, 3))
-    found: BoolArray = binary_erosion(region, around, iterations=_MARGIN)
-    return found
+    inner = region
+    for _ in range(_MARGIN):
+        smaller: BoolArray = binary_erosion(inner, np.ones((3, 3)))
+        if not smaller.any():
+            break
+        inner = smaller
+    return inner
