@@ -371,3 +371,35 @@ def test_all_that_packages_add_flies_and_is_recorded(
     assert last.keys() == starts.keys()
     for name, start in starts.items():
         assert pilot == "hover" or np.abs(np.subtract(last[name], start)).min() > 1e-3
+
+
+SUBCOMMANDS = """
+[project]
+name = "additions"
+[project.entry-points."outrider.commands"]
+"scenarios.greet" = "greeting:greet"
+"scenarios.absent" = "greeting:absent"
+"scenarios.show" = "greeting:greet"
+"run.twice" = "greeting:greet"
+"""
+
+
+def test_a_package_adds_a_subcommand_to_a_group_of_the_core(tmp_path: Path) -> None:
+    install(tmp_path, SUBCOMMANDS)
+    greeting = "def greet(name: str) -> None:\n    print(f'hello {name}')\n"
+    (tmp_path / "greeting.py").write_text(greeting, encoding="utf-8")
+
+    def called(*words: str) -> tuple[str, str]:
+        done = python(
+            "from outrider.cli.main import main; main()", *words, env=with_package(tmp_path)
+        )
+        return done.stdout, done.stderr
+
+    output, errors = called("scenarios", "greet", "town")
+    assert output == "hello town\n"
+    assert "'scenarios.absent' of additions is ignored" in errors
+    assert "'scenarios.show' of additions is ignored: Outrider has a command" in errors
+    assert "certified" in called("scenarios", "show", "escort")[0]
+    output, errors = called("--help")
+    assert "greet" not in output
+    assert "twice" not in output

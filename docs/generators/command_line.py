@@ -32,9 +32,10 @@ def page() -> str:
 
 
 def extensions() -> dict[str, EntryPoint]:
-    """Return the commands of Outrider's extensions, without those of other installed packages."""
+    """Return the commands of Outrider's extensions by name, without those of other installed packages."""
     found = plugins.registered("commands").items()
-    return {name: one for name, one in found if one.dist is None or one.dist.name == "outrider"}
+    ours = {name: one for name, one in found if one.dist is None or one.dist.name == "outrider"}
+    return {name.replace(".", " "): one for name, one in ours.items()}
 
 
 def commands() -> dict[str, Any]:

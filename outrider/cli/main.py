@@ -1,6 +1,7 @@
 """Entry point of the command line: the table of commands, and the report of errors as one line and an exit code."""
 
 import contextlib
+import copy
 import functools
 import io
 import logging
@@ -145,17 +146,24 @@ def _attribute(where: str) -> Any:  # noqa: ANN401 - a command or an app
 
 
 def _with_subcommands(load: Callable[[], Any], entries: dict[str, EntryPoint]) -> Any:  # noqa: ANN401 - an app
-    """Return a group of commands with the subcommands of extensions; one that cannot be added is ignored."""
+    """Return a group of commands with the subcommands of packages; one that cannot be added is ignored."""
     group = load()
+    if not isinstance(group, typer.Typer):
+        for entry in entries.values():
+            plugins.ignore(entry, "not a group of commands")
+        return group
+    found = copy.copy(group)
+    found.registered_commands = [*group.registered_commands]
+    taken = {one.name or getattr(one.callback, "__name__", "") for one in group.registered_commands}
     for name, entry in entries.items():
         try:
-            if not isinstance(group, typer.Typer):
-                raise OutriderError("not a group of commands")
+            if name in taken:
+                raise OutriderError("Outrider has a command of this name")
             if plugins.is_installed(entry):
-                group.command(name)(_interruptible(plugins.load(entry)))
+                found.command(name)(_interruptible(plugins.load(entry)))
         except OutriderError as error:
             plugins.ignore(entry, error)
-    return group
+    return found
 
 
 def _add(
