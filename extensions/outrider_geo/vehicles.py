@@ -131,8 +131,7 @@ def _largest_region(tiles: BoolArray) -> BoolArray:
     regions, _ = label(tiles)
     sizes = np.bincount(regions.ravel())
     sizes[0] = 0
-    region = (regions == int(sizes.argmax())) & tiles
-    inner = region
+    inner: BoolArray = (regions == int(sizes.argmax())) & tiles
     for _ in range(_MARGIN):
         smaller: BoolArray = binary_erosion(inner, np.ones((3, 3)))
         if not smaller.any():
