@@ -12,13 +12,14 @@ The sum of their probabilities, the expected number of exceedances, is therefore
 sum over E_k needs them within one window only, see `sim.channel.gaps.none_in_time`.
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from sim.channel.gaps import LossChain, Mask, none_in_time, useful_shares
-from sim.compiling.compile import FloatArray, IntArray
+from sim.compiling.compile import FloatArray, IntArray, compiled
 
 _GROUP = 4096
 """Number of bases evaluated at a time."""
@@ -70,7 +71,9 @@ def _most_within(leaves: Mask, ticks: int) -> int:
     return int((before[ends] - before[:-1]).max(initial=0))
 
 
-def pushed(chain: LossChain, leaves: Mask, window: Window, first: Window) -> float:
+def pushed(
+    chain: LossChain, leaves: Mask, window: Window, first: Window, enough: float = math.inf
+) -> float:
     """Propagate chain and base through a run without random blackouts; return the probability of exceedance.
 
     Args:
@@ -78,34 +81,88 @@ def pushed(chain: LossChain, leaves: Mask, window: Window, first: Window) -> flo
         leaves: Ticks at which a message leaves outside planned blackouts. Shape (ticks,).
         window: Window after each base.
         first: Window at the start, counted from the tick before the first.
+        enough: Stop once the probability is larger; the result is then a lower bound above this number.
     """
-    ticks, through = len(leaves), chain.through
-    at_first = first.fails <= ticks
-    if at_first and first.last == 0:
+    if first.fails <= len(leaves) and first.last == 0:
         return 1.0
     rows = _most_within(leaves, window.last + 1) + 1
-    mass, bases = np.zeros((len(through), rows)), np.zeros(rows, dtype=int)
-    early, oldest, newest, value = chain.share, 0, 0, 0.0
+    return float(
+        _push(
+            chain.turn,
+            chain.through,
+            leaves,
+            (window.useful, window.fails),
+            (first.useful, first.fails),
+            np.zeros((rows, len(chain.through))),
+            chain.share.copy(),
+            enough,
+        )
+    )
+
+
+@compiled
+def _push(
+    turn: FloatArray,
+    through: FloatArray,
+    leaves: Mask,
+    window: tuple[FloatArray, int],
+    first: tuple[FloatArray, int],
+    mass: FloatArray,
+    early: FloatArray,
+    enough: float,
+) -> float:
+    """Return the probability of `pushed`.
+
+    Args:
+        turn, through: See `sim.channel.gaps.LossChain`.
+        leaves: See `pushed`.
+        window, first: Fields of the two windows.
+        mass: Probability of each base, a ring of rows, and state; changed.
+        early: Probability of each state without a base; changed.
+        enough: See `pushed`.
+    """
+    (useful, fails), (first_useful, first_fails) = window, first
+    ticks, last, first_last = len(leaves), len(useful) - 1, len(first_useful) - 1
+    states, rows = len(through), len(mass)
+    bases, fresh, before = np.zeros(rows, dtype=np.int64), np.zeros(states), np.zeros(states)
+    oldest, newest, value = 0, 0, 0.0
     for tick in range(ticks):
-        mass, early = chain.push(mass), chain.push(early)
-        fresh = np.zeros(len(through))
+        # the chain's step
+        for k in range(oldest, newest + 1):
+            row = early if k == newest else mass[k % rows]
+            before[:] = row
+            for state in range(states):
+                row[state] = 0.0
+                for origin in range(states):
+                    row[state] += turn[origin, state] * before[origin]
+        # a message leaves
+        fresh[:] = 0.0
         if leaves[tick]:
-            got = through[:, None] * window.useful[np.minimum(tick - bases, window.last)]
-            sooner = through * (first.useful[tick + 1] if tick < first.last else 0.0)
-            fresh = (got * mass).sum(axis=1) + sooner * early
-            mass, early = (1.0 - got) * mass, (1.0 - sooner) * early
-        if at_first and tick + 1 == first.last:
-            value += float(early.sum())
-        while oldest < newest and bases[oldest % rows] + window.last <= tick:
-            value += float(mass[:, oldest % rows].sum())
-            mass[:, oldest % rows] = 0.0
+            for k in range(oldest, newest):
+                row, share = mass[k % rows], useful[min(tick - bases[k % rows], last)]
+                for state in range(states):
+                    got = through[state] * share
+                    fresh[state] += got * row[state]
+                    row[state] *= 1.0 - got
+            share = first_useful[tick + 1] if tick < first_last else 0.0
+            for state in range(states):
+                got = through[state] * share
+                fresh[state] += got * early[state]
+                early[state] *= 1.0 - got
+        # windows end, and one begins
+        if first_fails <= ticks and tick + 1 == first_last:
+            value += early.sum()
+        while oldest < newest and bases[oldest % rows] + last <= tick:
+            value += mass[oldest % rows].sum()
             oldest += 1
-        if leaves[tick] and tick + window.fails < ticks:
-            if window.last == 0:
-                value += float(fresh.sum())
+        if value > enough:
+            break
+        if leaves[tick] and tick + fails < ticks:
+            if last == 0:
+                value += fresh.sum()
             else:
                 bases[newest % rows] = tick
-                mass[:, newest % rows] = fresh
+                mass[newest % rows] = fresh
                 newest += 1
     return value
 

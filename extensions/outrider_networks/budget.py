@@ -12,13 +12,14 @@ from agents.safety.levels import bounds_of
 from bus.errors import ScenarioError
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.vehicle import MOST_CARRIED
+from bus.numbers import exact
 from bus.ticks import first_tick_from
 from outrider.running.assumptions import how_certifiable
+from outrider.running.network_budget import BoundRow, Budget, LinkRow
 from outrider.running.tolerance import Tolerance, largest, tolerances
-from outrider_networks.link_runs import Probability
 from outrider_networks.probabilities import (
-    age_exceedance,
-    command_interval_exceedance,
+    keeps_age,
+    keeps_command_interval,
     smallest_age,
     smallest_command_interval,
 )
@@ -38,54 +39,6 @@ _BETWEEN = 10.0
 """Mean time between bursts, where the link has none [s]."""
 
 
-class BoundRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One declared bound of a UAV."""
-
-    uav: str
-    bound: str
-    """Field of `[certificate]`."""
-    symbol: str
-    unit: str
-    declared: float
-    needed: float | None
-    """Smallest bound that the UAV's links keep at this risk; None: not a bound of a link, or none does."""
-    largest: float | None
-    """Largest bound with which sight can be certified, the others as declared; None: there is none."""
-    r_cert: float | None
-    """r_cert at the largest bound [m]."""
-
-
-class LinkRow(msgspec.Struct, frozen=True, kw_only=True):
-    """Largest value of one property of a link, its others unchanged."""
-
-    uav: str
-    link: str
-    """`detections` or `commands`."""
-    what: str
-    """`loss`, `burst`, `delay` or `blackout`."""
-    unit: str
-    now: float
-    as_declared: float | None
-    """Largest value with which sight stays certified with the declared bounds; None: even 0 breaks one."""
-    at_most: float | None
-    """The same with the link's bound as large as the vehicles tolerate."""
-
-
-class Budget(msgspec.Struct, frozen=True, kw_only=True):
-    """Network budget of a scenario."""
-
-    scenario: str
-    risk: float
-    """Probability with which a run may exceed a bound because of one link."""
-    certifiable: str | None
-    """As from `outrider check`."""
-    r_cert: dict[str, float | None]
-    """r_cert with the declared bounds, by UAV [m]; None: nothing can be certified."""
-    bounds: list[BoundRow]
-    links: list[LinkRow]
-    notes: list[str]
-
-
 class _Limits(msgspec.Struct, frozen=True):
     """Bounds that a link must keep."""
 
@@ -95,8 +48,20 @@ class _Limits(msgspec.Struct, frozen=True):
     """Delay of a command [s]."""
 
 
+def check_risk(risk: float) -> None:
+    """Check a probability.
+
+    Raises:
+        ScenarioError: If it is not between 0 and 1.
+    """
+    if not 0.0 < risk < 1.0:
+        raise ScenarioError(f"--risk {exact(risk)}: out of range; allowed: above 0 and below 1")
+
+
 def budget(
-    scenario: Scenario, risk: float, on_progress: Callable[[str], object] = lambda _: None
+    scenario: Scenario,
+    risk: float,
+    on_progress: Callable[[str, float], object] = lambda _step, _share: None,
 ) -> Budget:
     """Return the network budget of a scenario.
 
@@ -105,7 +70,7 @@ def budget(
     Args:
         scenario: The scenario.
         risk: Probability, between 0 and 1.
-        on_progress: Called with what is computed next.
+        on_progress: Called with what is computed next, and the share that is done.
 
     Raises:
         ScenarioError: If no UAV relies on bounds.
@@ -113,13 +78,18 @@ def budget(
     check_filtered(scenario)
     bounds, links, radii = list[BoundRow](), list[LinkRow](), dict[str, float | None]()
     notes = set[str]()
-    for uav in filter(scenario.filters, scenario.uav):
-        on_progress(f"{uav.name}")
+    uavs = list(filter(scenario.filters, scenario.uav))
+    for k, uav in enumerate(uavs):
+
+        def step(what: str, share: float, k: int = k) -> None:
+            on_progress(what, (k + share) / len(uavs))
+
+        step(f"{uav.name}: bounds", 0.0)
         of_uav = tolerances(scenario, uav)
         declared = bounds_of(uav_briefing(scenario, uav.name, scenario.seed))
         radii[uav.name] = certified_radius(declared) if declared.valid else None
         bounds += [_bound_row(scenario, uav, one, risk, notes) for one in of_uav]
-        links += _link_rows(scenario, uav, of_uav, risk, on_progress)
+        links += _link_rows(scenario, uav, of_uav, risk, step)
     return Budget(
         scenario=scenario.name,
         risk=risk,
@@ -166,12 +136,12 @@ def _link_rows(
     uav: Uav,
     of_uav: tuple[Tolerance, ...],
     risk: float,
-    on_progress: Callable[[str], object],
+    on_progress: Callable[[str, float], object],
 ) -> list[LinkRow]:
     """Return the rows of a UAV's two links."""
     declared = {one.bound.field: one.declared for one in of_uav}
     most = {one.bound.field: one.largest for one in of_uav}
-    rows = []
+    rows = list[LinkRow]()
     for kind, field in (
         (LinkKind.DETECTIONS, "max_measurement_age"),
         (LinkKind.COMMANDS, "max_command_interval"),
@@ -182,7 +152,7 @@ def _link_rows(
             for time, delay in zip((declared[field], most[field]), delays, strict=True)
         ]
         for what, change in _CHANGES.items():
-            on_progress(f"{uav.name}/{kind}: {what}")
+            on_progress(f"{uav.name}/{kind}: {what}", (1 + len(rows)) / (1 + 2 * len(_CHANGES)))
             # only a delay of commands needs another bound than the one of the link's gaps
             given = limits
             if kind is LinkKind.COMMANDS and what != "delay":
@@ -268,14 +238,12 @@ def _keeps(
             if settings.delay > limits.time:  # too old on arrival, even the first
                 return False
             given = detections_of(scenario, uav) | {"settings": settings}
-            found: Probability = age_exceedance(**given, age=limits.time)
-        else:
-            late = longest_delay(settings, scenario.links.traces)
-            if first_tick_from(late, scenario.dt) > first_tick_from(limits.delay, scenario.dt):
-                return False
-            given = commands_of(scenario, uav) | {"settings": settings, "repeats": MOST_CARRIED}
-            given["delay_ticks"] = first_tick_from(limits.delay, scenario.dt)
-            found = command_interval_exceedance(**given, max_command_interval=limits.time)
+            return keeps_age(**given, age=limits.time, risk=risk)
+        late = longest_delay(settings, scenario.links.traces)
+        if first_tick_from(late, scenario.dt) > first_tick_from(limits.delay, scenario.dt):
+            return False
+        given = commands_of(scenario, uav) | {"settings": settings, "repeats": MOST_CARRIED}
+        given["delay_ticks"] = first_tick_from(limits.delay, scenario.dt)
+        return keeps_command_interval(**given, max_command_interval=limits.time, risk=risk)
     except ScenarioError:
         return False
-    return found.value is not None and found.value <= risk

@@ -135,6 +135,7 @@ def budget(
     law: options.LawName = None,
     network: options.NetworkName = "",
     json: Json = False,
+    child: options.Child = False,
 ) -> None:
     """Print how much loss, delay and silence a mission can afford.
 
@@ -146,8 +147,11 @@ def budget(
 
     Example: outrider network budget escort --risk 1e-3
     """
-    from outrider_networks.work import print_budget  # noqa: PLC0415 - the compiler
+    from outrider_networks.work import print_budget, report_budget  # noqa: PLC0415 - the compiler
 
+    if child:
+        report_budget(risk)
+        return
     print_budget(_resolved(scenario, changes, duration, law, network), risk, json=json)
 
 

@@ -68,12 +68,27 @@ class DrawnRun(NamedTuple):
         value = min(self.summed(plan, number, regular=self.regular) for plan in self.plans)
         return Probability(min(1.0, value), self.why or SUMMED)
 
+    def keeps(self, number: int, risk: float) -> bool:
+        """Return whether this number of ticks is exceeded with at most a probability; quicker than the probability.
+
+        The expected number of exceedances bounds the probability, and takes one window instead of a run.
+        """
+        window, exact = self.plans[0].window(number), not self.why and len(self.plans) == 1
+        long = self.ticks > _MOST_TICKS or self.ticks * window.last > MOST_CELLS
+        if long or not exact:
+            value = self.probability(number).value
+            return value is not None and value <= risk
+        (plan,) = self.plans
+        if self.regular and self.summed(plan, number, regular=True) <= risk:
+            return True
+        ((_, leaves),) = plan.schedules
+        return pushed(self.chain, leaves, window, plan.first(number), risk) <= risk
+
     def smallest(self, risk: float) -> int | None:
         """Return the smallest number of ticks exceeded with at most this probability; None if none is."""
 
         def kept(number: int) -> bool:
-            value = self.probability(number).value
-            return value is not None and value <= risk
+            return self.keeps(number, risk)
 
         def seems_kept(number: int) -> bool:
             return min(self.summed(plan, number, regular=True) for plan in self.plans) <= risk
@@ -99,6 +114,10 @@ class RecordedRun(NamedTuple):
     def probability(self, number: int) -> Probability:
         """Return the mean probability over all start positions, which are equally likely."""
         return Probability(float(self.exceeded(number).mean()), self.why)
+
+    def keeps(self, number: int, risk: float) -> bool:
+        """Return whether this number of ticks is exceeded with at most a probability."""
+        return float(self.exceeded(number).mean()) <= risk
 
     def smallest(self, risk: float) -> int | None:
         """Return the smallest number of ticks exceeded with at most this probability; None if none is."""

@@ -93,6 +93,40 @@ def _probability(run: LinkRun, bound: float, dt: float) -> Probability:
     return run.probability(ticks_within(bound, dt))
 
 
+@functools.lru_cache(maxsize=1024)
+def keeps_age(
+    settings: LinkSettings,
+    *,
+    dt: float,
+    period_ticks: int,
+    dropout: float,
+    ticks: int,
+    age: float,
+    risk: float,
+    traces: tuple[RecordedLink, ...] = (),
+) -> bool:
+    """Return whether `age_exceedance` is at most `risk`, much faster than by its value; arguments as there."""
+    run = detections_run(settings, dt, period_ticks, dropout, ticks, traces)
+    return not isinstance(run, str) and run.keeps(ticks_within(age, dt), risk)
+
+
+@functools.lru_cache(maxsize=1024)
+def keeps_command_interval(
+    settings: LinkSettings,
+    *,
+    dt: float,
+    delay_ticks: int,
+    repeats: int,
+    ticks: int,
+    max_command_interval: float,
+    risk: float,
+    traces: tuple[RecordedLink, ...] = (),
+) -> bool:
+    """Return whether `command_interval_exceedance` is at most `risk`, much faster than by its value."""
+    run = commands_run(settings, dt, delay_ticks, repeats, ticks, traces)
+    return not isinstance(run, str) and run.keeps(ticks_within(max_command_interval, dt), risk)
+
+
 @functools.lru_cache(maxsize=64)
 def smallest_age(
     settings: LinkSettings,

@@ -48,6 +48,8 @@ class Start(msgspec.Struct, kw_only=True, omit_defaults=True):
     """Secret of the run, for the simulator alone."""
     law: Law | None = None
     """Initial law of the UAVs, for a companion."""
+    scenario: str = ""
+    """Resolved scenario of the run as TOML, for a companion; empty: unknown. No vehicle may receive it."""
     folder: str = ""
     """Private folder of the run, which holds the simulator's temporary files and which it removes on exit."""
     output: Output = Output()

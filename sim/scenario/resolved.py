@@ -33,8 +33,16 @@ def read_resolved(file: Path) -> Scenario:
         ScenarioError: If it is not such a file.
         OSError: If it cannot be read.
     """
-    raw = tomllib.loads(file.read_text(encoding="utf-8"))
-    return check_scenario(typed(raw, Scenario, file=str(file)), source=str(file))
+    return resolved(file.read_text(encoding="utf-8"), str(file))
+
+
+def resolved(text: str, source: str = "scenario") -> Scenario:
+    """Return the scenario of a text of `as_toml`; `source` is its name in errors.
+
+    Raises:
+        ScenarioError: If it is not such a text.
+    """
+    return check_scenario(typed(tomllib.loads(text), Scenario, file=source), source=source)
 
 
 def _table(fields: Mapping[str, object], path: tuple[str, ...]) -> Iterator[str]:
