@@ -18,6 +18,7 @@ _OPTIONS = re.compile("[?#]")
 """Characters at which Zenoh ends the path of an endpoint, also of a Unix socket."""
 _INET = re.compile(r"(\[[^\[\]]+\]|[^\[\]:]+):([0-9]{1,5})")
 _LAST_PORT = 65535
+_WILDCARDS = ("0.0.0.0", "::")  # noqa: S104 - compared, not bound
 
 
 class Locator(NamedTuple):
@@ -112,3 +113,11 @@ def check_endpoint(endpoint: str) -> Locator:
     if fault:
         raise ScenarioError(f"endpoint {endpoint!r}: {fault}")
     return found
+
+
+def reachable(endpoint: str) -> str:
+    """Return the endpoint with which other machines reach a listener: a wildcard address becomes this host's name."""
+    found = Locator.of(endpoint)
+    if found.protocol == UNIX or found.host not in _WILDCARDS:
+        return endpoint
+    return f"{found.protocol}/{socket.gethostname()}:{found.port}"

@@ -32,6 +32,22 @@ Out = Annotated[
         help="Write trajectory, picture and summary to this folder; default: new, in runs/.",
     ),
 ]
+Listen = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="ENDPOINT",
+        help="Let operators and observers join at this endpoint, with credentials; repeatable.",
+    ),
+]
+RunCredentials = Annotated[
+    Path | None,
+    typer.Option(
+        "--credentials",
+        metavar="FILE",
+        help="With --listen: use these credentials (router.json); default: new ones.",
+        envvar="OUTRIDER_CREDENTIALS",
+    ),
+]
 Files = Annotated[bool, typer.Option(help="Write the files of the run.")]
 Picture = Annotated[bool, typer.Option(help="Draw the picture.")]
 
@@ -55,6 +71,8 @@ class RunOptions(NamedTuple):
     companions: list[str]
     respawn: bool
     allow_processes: int
+    listen: tuple[str, ...]
+    credentials: Path | None
     out: Path | None
     files: bool
     picture: bool
@@ -78,6 +96,8 @@ def command(
     companions: options.Companions = None,
     respawn: Respawn = False,
     allow_processes: AllowProcesses = MOST_PROCESSES,
+    listen: Listen = None,
+    credentials: RunCredentials = None,
     out: Out = None,
     files: Files = True,
     picture: Picture = True,
@@ -89,7 +109,13 @@ def command(
     ends the run early and keeps its results. If a vehicle's process exits, the vehicle brakes and the run continues;
     with --respawn, the process is restarted and flies on. --with dashboard shows the run on a page.
 
+    With --listen, others can join the run, from other machines too. They need its credentials, whose files the run
+    prints; it removes new ones at the end. With --driver teleop, the run prints the `outrider drive` command that
+    steers the UGV, and follows the wall clock unless --realtime is given (0: lockstep).
+
     Example: outrider run escort --seed 3 --law switching
+
+    Example: outrider run escort --driver teleop --listen tcp/0.0.0.0:17447
     """
     from outrider.cli.work.run import run  # noqa: PLC0415 - the compiler
 
@@ -111,6 +137,8 @@ def command(
             companions=companions or [],
             respawn=respawn,
             allow_processes=allow_processes,
+            listen=tuple(listen or ()),
+            credentials=credentials,
             out=out,
             files=files,
             picture=picture,

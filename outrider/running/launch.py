@@ -5,17 +5,19 @@ import functools
 import os
 import queue
 import secrets
+import shlex
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 
-from bus.credentials import new_credentials, write_credential
+from bus.credentials import CredentialSet, new_credentials, write_credential
 from bus.errors import PeerLost
 from bus.keys import OBSERVER_NAME, OPERATOR_NAME, SIMULATOR_NAME
-from bus.locator import UNIX
+from bus.locator import UNIX, reachable
 from bus.registry import DRIVERS
 from outrider.running.child import Child
 from outrider.running.companions import Beside, Companions
@@ -63,6 +65,19 @@ class Outcome(msgspec.Struct, kw_only=True):
     """True if the user's input cannot be flown."""
 
 
+class Door(NamedTuple):
+    """Endpoints at which parties that the user starts join a run, besides its private socket."""
+
+    endpoints: tuple[str, ...] = ()
+    given: CredentialSet | None = None
+    """Credentials of all parties; None: new ones for this run."""
+    folder: Path | None = None
+    """Folder with the files of `given`."""
+
+
+_CLOSED = Door()
+
+
 class Watcher(msgspec.Struct, frozen=True, kw_only=True):
     """Callbacks that follow a run and may end it."""
 
@@ -84,25 +99,26 @@ def launch(
     output: Output,
     *,
     secret: str = "",
+    door: Door = _CLOSED,
 ) -> Outcome:
     """Fly a scenario with one process for the simulator and one for each vehicle, over Zenoh on a private socket.
 
-    Each process has its own credentials, which are made for this run and deleted afterwards. The simulator reads the
-    scenario from the run's private folder. Vehicles never learn of this file, which holds goals and seed.
+    Each process has its own credentials; unless given, they are made for this run and deleted afterwards. The simulator
+    reads the scenario from the run's private folder. Vehicles never learn of this file, which holds goals and seed.
 
     Args:
         scenario: Scenario to fly, with all options applied.
         watcher: Callbacks that follow the run.
         output: Files to write.
         secret: Secret of the run, passed to the simulator's process only; empty: none.
+        door: Further endpoints of the router, and the credentials that it accepts.
 
     Returns:
         The summary, if any tick was flown, and the failure that ended the run early.
     """
     with run_folder() as folder, _ended_afterwards() as beside, _ended_afterwards() as children:
-        run = f"run-{os.getpid()}-{secrets.token_hex(4)}"
         logs = Path(output.folder, "logs") if output.folder else None
-        processes = _Processes(scenario, folder, run, children, watcher, logs)
+        processes = _Processes(scenario, folder, door, children, watcher, logs)
         processes.start_simulator(output, secret)
         unready = processes.start_companions(beside)
         if unready is not None:
@@ -110,6 +126,7 @@ def launch(
             unready.drop_log()
             return Outcome(fault=fault, unusable=unready.ended == _UNUSABLE)
         if not watcher.stop():
+            processes.tell_how_to_join()
             processes.start_vehicles()
         outcome = _follow(processes, watcher, respawn=scenario.run.respawn)
         processes.companions.await_end_shown()
@@ -136,7 +153,7 @@ class _Processes:
     Args:
         scenario: Scenario to fly.
         folder: Private folder of the run.
-        run: Name of the run.
+        door: Endpoints for parties that the user starts.
         children: List that receives the processes; the caller ends all of them.
         watcher: Callbacks that receive the processes' warnings.
         logs: Folder for each process's standard error; None: not kept.
@@ -146,7 +163,7 @@ class _Processes:
         self,
         scenario: Scenario,
         folder: Path,
-        run: str,
+        door: Door,
         children: list[Child],
         watcher: Watcher,
         logs: Path | None,
@@ -156,13 +173,16 @@ class _Processes:
         self._logs = logs
         self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         """Reports of the simulator, one line each."""
-        self._scenario, self._folder, self._run = scenario, folder, run
+        self._scenario, self._folder, self._door = scenario, folder, door
         self._endpoint = f"{UNIX}/{folder / 'bus.sock'}"
         self._uavs = [uav.name for uav in scenario.uav]
         self.companions = Companions(watcher.on_event)
         ugvs = [ugv.name for ugv in scenario.ugv]
         own = [vehicle.name for vehicle in scenario.vehicles if _is_outside(vehicle)]
-        self._credentials = new_credentials(run, self._uavs, ugvs)
+        self._credentials = door.given or new_credentials(
+            f"run-{os.getpid()}-{secrets.token_hex(4)}", self._uavs, ugvs
+        )
+        self._run = self._credentials.run
         self._files = {
             name: folder / f"{name}.json" for name in (OPERATOR_NAME, OBSERVER_NAME, *own)
         }
@@ -182,11 +202,35 @@ class _Processes:
         """Return the options with the router's endpoint and the run's name."""
         return ["--connect", self._endpoint, "--run", self._run]
 
+    def _joining_as(self, name: str, endpoint: str = "") -> str:
+        """Return the options of a party that the user starts."""
+        file = self._files[name]
+        if self._door.folder is not None and (self._door.folder / file.name).exists():
+            file = self._door.folder / file.name
+        words = ["--connect", endpoint or self._endpoint, "--run", self._run]
+        return shlex.join([*words, "--credentials", str(file)])
+
+    def tell_how_to_join(self) -> None:
+        """Report how operators and observers join the run, and which command drives a UGV."""
+        for endpoint in self._door.endpoints:
+            there = reachable(endpoint)
+            line = f"listening on {endpoint}; operators join with {self._joining_as(OPERATOR_NAME, there)}"
+            observer = self._joining_as(OBSERVER_NAME, there).rpartition(" ")[2]
+            self._watcher.on_event(f"{line}, observers with {observer}")
+        for ugv in self._scenario.ugv:
+            if DRIVERS[ugv.driver].operated:
+                known = self._joining_as(OPERATOR_NAME)
+                self._watcher.on_event(
+                    f"drive {ugv.name}: outrider drive {known} --name {ugv.name}"
+                )
+
     def start_simulator(self, output: Output, secret: str) -> None:
         """Start the simulator; clients wait until its router listens."""
         file = self._folder / "scenario.toml"
         file.write_text(as_toml(self._scenario), encoding="utf-8")
-        arguments = ["simulator", str(file), "--listen", self._endpoint, "--run", self._run]
+        arguments = ["simulator", str(file), "--run", self._run]
+        for endpoint in (self._endpoint, *self._door.endpoints):
+            arguments += ["--listen", endpoint]
         start = Start(
             credentials=self._credentials, secret=secret, folder=str(self._folder), output=output
         )
@@ -219,7 +263,11 @@ class _Processes:
         child = Child(
             name,
             [name, *self._joining(), *words],
-            Start(credential=self._credentials.of(OPERATOR_NAME), law=self._scenario.law),
+            Start(
+                credential=self._credentials.of(OPERATOR_NAME),
+                law=self._scenario.law,
+                scenario=as_toml(self._scenario),
+            ),
             lines=lines,
             log=self._log(name),
             companion=True,
@@ -248,9 +296,12 @@ class _Processes:
         """Start a process for each vehicle; print the join options of a vehicle that the user starts."""
         for vehicle in self._scenario.vehicles:
             if _is_outside(vehicle):
-                joining = " ".join(self._joining())
-                known = f"--name {vehicle.name} --credentials {self._files[vehicle.name]}"
-                self._watcher.on_event(f"start {vehicle.name} yourself with {joining} {known}")
+                known = self._joining_as(
+                    vehicle.name, next(map(reachable, self._door.endpoints), "")
+                )
+                self._watcher.on_event(
+                    f"start {vehicle.name} yourself with {known} --name {vehicle.name}"
+                )
             else:
                 self.children.append(self._start(vehicle.name))
 

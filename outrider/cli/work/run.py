@@ -3,18 +3,20 @@
 from contextlib import nullcontext
 from pathlib import Path
 
+import msgspec
 import typer
 
-from bus.errors import PeerLost, ScenarioError
+from bus.credentials import CredentialSet, read_credentials
+from bus.errors import AccessDenied, PeerLost, ScenarioError
 from bus.registry import DRIVERS
 from outrider.cli.console import ERR, flight_progress, print_json, print_warnings
-from outrider.cli.options import with_respawn
+from outrider.cli.options import check_endpoints, with_respawn
 from outrider.cli.run import RunOptions
 from outrider.cli.run_secret import secret_of
 from outrider.cli.stopping import Stop, stop_on_signals
 from outrider.cli.summary_table import print_summary
 from outrider.running.companions import Beside, pace_with, parse_companion
-from outrider.running.launch import Outcome, Watcher, launch
+from outrider.running.launch import Door, Outcome, Watcher, launch
 from outrider.running.own_functions import check_own_functions
 from outrider.running.parent import Output
 from outrider.running.resolve import resolve
@@ -46,11 +48,15 @@ def run(wanted: RunOptions) -> None:
         realtime=realtime,
         changes=with_respawn(wanted.changes, respawn=wanted.respawn),
     )
+    flown = _paced(flown, wanted)
     has_external = any(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
     _check_processes(flown, 0 if wanted.in_process else wanted.allow_processes)
     _check_in_process(
-        wanted.in_process, bool(asked or wanted.respawn or wanted.companions), has_external
+        wanted.in_process,
+        bool(asked or wanted.respawn or wanted.companions or wanted.listen),
+        has_external,
     )
+    door = _door(flown, wanted)
     run_secret = secret_of(wanted.secret, wanted=has_external)
     check_code(flown, named, source=wanted.scenario, allowed=wanted.allow_code)
     print_warnings((*scenario_warnings(flown), *check_own_functions(flown)))
@@ -65,9 +71,47 @@ def run(wanted: RunOptions) -> None:
 
             outcome = fly_here(flown, run_secret, output, stop)
         else:
-            outcome = _fly_apart(flown, run_secret, output, beside, stop)
+            outcome = _fly_apart(flown, run_secret, output, beside, door, stop)
         _report(outcome, folder, json=wanted.json)
     _end(outcome, stop)
+
+
+def _paced(flown: Scenario, wanted: RunOptions) -> Scenario:
+    """Return the scenario at the pace of the wall clock if an operator drives, unless the user has set a pace."""
+    is_set = wanted.realtime is not None or flown.run.realtime > 0.0
+    is_set |= any(change.partition("=")[0].strip() == "run.realtime" for change in wanted.changes)
+    operated = any(DRIVERS[ugv.driver].operated for ugv in flown.ugv)
+    if is_set or wanted.in_process or not operated:
+        return flown
+    return msgspec.structs.replace(flown, run=msgspec.structs.replace(flown.run, realtime=1.0))
+
+
+def _door(flown: Scenario, wanted: RunOptions) -> Door:
+    """Return where others can join, after checking it.
+
+    Raises:
+        ScenarioError: If an endpoint is invalid.
+        AccessDenied: If the credentials do not suit the scenario.
+    """
+    if wanted.credentials is None or not wanted.listen:  # a variable's file is for other commands
+        check_endpoints(wanted.listen, secured=True, insecure=False)
+        return Door(wanted.listen)
+    file = wanted.credentials
+    given: CredentialSet = read_credentials(file)
+    if given.tls is not None:
+        raise AccessDenied(
+            f"{file}: certificates; allowed: passwords (outrider credentials without --tls), or "
+            "certificates with `outrider simulator`"
+        )
+    known = {one.name for one in given.parties}
+    lacking = [one.name for one in flown.vehicles if one.name not in known]
+    if lacking:
+        raise AccessDenied(
+            f"{file}: no credentials for {', '.join(lacking)}; make them with "
+            f"`outrider credentials --scenario {wanted.scenario}`"
+        )
+    check_endpoints(wanted.listen, secured=True, insecure=False)
+    return Door(wanted.listen, given, file.parent)
 
 
 def _check_recording(record: Path | None) -> None:
@@ -80,7 +124,7 @@ def _check_in_process(in_process: bool, has_options: bool, has_external: bool) -
     """Raise `typer.BadParameter` if a run in one process has an option that needs several."""
     needed = "several processes required; leave --in-process out"
     if in_process and has_options:
-        raise typer.BadParameter(f"--realtime, --respawn, --with: {needed}")
+        raise typer.BadParameter(f"--realtime, --respawn, --with, --listen: {needed}")
     if in_process and has_external:
         raise typer.BadParameter(f"--driver external: {needed}")
 
@@ -101,7 +145,12 @@ def _report(outcome: Outcome, folder: Path | None, *, json: bool) -> None:
 
 
 def _fly_apart(
-    flown: Scenario, secret: str, output: Output, beside: tuple[Beside, ...], stop: Stop
+    flown: Scenario,
+    secret: str,
+    output: Output,
+    beside: tuple[Beside, ...],
+    door: Door,
+    stop: Stop,
 ) -> Outcome:
     with flight_progress(flown, "starting (the first start compiles)") as progress:
         watcher = Watcher(
@@ -111,7 +160,7 @@ def _fly_apart(
             stop=lambda: stop.count,
             companions=beside,
         )
-        return launch(flown, watcher, output, secret=secret)
+        return launch(flown, watcher, output, secret=secret, door=door)
 
 
 def _check_processes(flown: Scenario, allowed: int) -> None:
