@@ -84,6 +84,10 @@ def command(
             max=1e6,
         ),
     ] = 1.0,
+    scenario: Annotated[
+        str, typer.Option(help="Name the run's scenario, for its network budget.")
+    ] = "",
+    changes: options.Set = None,
     child: options.Child = False,
 ) -> None:
     """Show a run live in the browser, and control it.
@@ -111,9 +115,20 @@ def command(
         if start is not None
         else staff_of(credentials, Role.OPERATOR)
     )
+    known = _resolved(scenario, changes)
     os.nice(_NICE)
     with open_socket(host, port) as opened:
         from outrider_dashboard.serving import show_run  # noqa: PLC0415 - the extra [dashboard]
 
         joining = Joining(party, connect, run, credential, 10.0)
-        show_run(joining, opened, access, start)
+        show_run(joining, opened, access, start, known)
+
+
+def _resolved(scenario: str, changes: list[str] | None) -> str:
+    """Return the resolved scenario as TOML; empty without a scenario."""
+    if not scenario:
+        return ""
+    from outrider.running.resolve import resolve  # noqa: PLC0415 - the compiler
+    from sim.scenario.resolved import as_toml  # noqa: PLC0415 - the compiler
+
+    return as_toml(resolve(scenario, changes=changes)[0])

@@ -17,6 +17,7 @@ from bus.messages.control import Action
 from bus.messages.ground import GroundMap
 from bus.messages.scenario import Law
 from bus.messages.telemetry import CoverageMap, Status, Truth
+from outrider_dashboard.budget_job import BudgetJob
 from outrider_dashboard.chart_data import ChartData
 from outrider_dashboard.controls.link_settings import describe_links
 from outrider_dashboard.controls.teleoperation import SharedTeleoperation
@@ -70,11 +71,17 @@ class Hub:
         source: Live or recorded run.
         law: Initial law of the UAVs, if known.
         on_end: Called when all browsers have received the end of a run.
+        scenario: Resolved scenario as TOML; empty: unknown.
     """
 
     def __init__(
-        self, source: Source, law: Law | None = None, on_end: Callable[[], None] = lambda: None
+        self,
+        source: Source,
+        law: Law | None = None,
+        on_end: Callable[[], None] = lambda: None,
+        scenario: str = "",
     ) -> None:
+        self.budget = BudgetJob(scenario)
         self.source = source
         self.history = ChartData()
         self.status: Status | None = None
@@ -165,7 +172,8 @@ class Hub:
         return None if self.status is None else running_law(self.status, self.first_law)
 
     def close(self) -> None:
-        """Release control and close the source."""
+        """Release control, end the computation, and close the source."""
+        self.budget.close()
         self.teleoperation.release()
         self.source.close()
 

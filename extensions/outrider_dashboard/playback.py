@@ -9,6 +9,7 @@ from outrider_dashboard.app import serve
 from outrider_dashboard.controls.player import Player
 from outrider_dashboard.hub import Hub
 from outrider_dashboard.sources.recorded import RecordedRun
+from sim.scenario.resolved import as_toml
 
 
 def show_recording(
@@ -18,7 +19,8 @@ def show_recording(
     recording = flight_of(file, flight)
     with open_socket(host, port) as opened:
         recorded = RecordedRun(recording, speed)
-        hub = Hub(recorded)
+        known = "" if recording.head.scenario is None else as_toml(recording.scenario)
+        hub = Hub(recorded, scenario=known)
         line = (
             f"dashboard of {recording.path}: {address_of(opened, access.token)} (stop with Ctrl-C)"
         )

@@ -13,8 +13,22 @@ from outrider_dashboard.hub import Hub
 from outrider_dashboard.sources.live import LiveRun
 
 
-def show_run(joining: Joining, opened: socket.socket, access: Access, start: Start | None) -> None:
-    """Serve the page of a run; as a child process, report on standard output when it is ready and over."""
+def show_run(
+    joining: Joining,
+    opened: socket.socket,
+    access: Access,
+    start: Start | None,
+    scenario: str = "",
+) -> None:
+    """Serve the page of a run; as a child process, report on standard output when it is ready and over.
+
+    Args:
+        joining: Run to join.
+        opened: Socket to serve on.
+        access: Access token and trusted proxies.
+        start: Input of a child process; None: started by the user.
+        scenario: Resolved scenario as TOML, if the user names it.
+    """
     line = f"dashboard of the run: {address_of(opened, access.token)}"
 
     def report(text: str) -> None:
@@ -29,6 +43,7 @@ def show_run(joining: Joining, opened: socket.socket, access: Access, start: Sta
             report("over")
 
     with joining.session() as session:
-        hub = Hub(LiveRun(session), start.law if start is not None else None, on_end)
+        known = scenario if start is None else start.scenario
+        hub = Hub(LiveRun(session), None if start is None else start.law, on_end, known)
         controls = (lambda: Controls(hub).show) if hub.source.may_steer else None
         serve(hub, opened, access, controls=controls, ready=lambda: report(line))

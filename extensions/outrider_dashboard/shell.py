@@ -5,6 +5,7 @@ from collections.abc import Callable
 from nicegui import ui
 from starlette.requests import Request
 
+from outrider_dashboard.budget_page import ADDRESS, build_budget_page
 from outrider_dashboard.controls.links_card import OBSERVER, LinkForm
 from outrider_dashboard.controls.widgets import card, html
 from outrider_dashboard.hub import Hub
@@ -19,8 +20,9 @@ BuildControls = Callable[[], Callable[[], None]]
 _PERIOD = 0.25
 """Wall time between two refreshes of the controls [s]."""
 
-_HEADER = """<div class="brand"><b>Outrider</b><span id="scenario"></span></div><div id="chips"></div>
-<button type="button" id="theme"></button><div id="banner" role="alert" hidden></div>
+_HEADER = f"""<div class="brand"><b>Outrider</b><span id="scenario"></span></div><div id="chips"></div>
+<div class="tools"><a href="{ADDRESS}" title="How much loss, delay and silence the run can afford">Network budget</a>
+<button type="button" id="theme"></button></div><div id="banner" role="alert" hidden></div>
 <details id="promise" hidden><summary></summary><div></div></details>"""
 _MAP = f"""<div class="map-place"><canvas id="map" role="img" aria-label="Map of the run"></canvas>
 <div class="map-tools" role="group" aria-label="View of the map">
@@ -83,6 +85,7 @@ def build_page(hub: Hub, controls: BuildControls | None) -> None:
         hub: State of the run.
         controls: Builds the controls, including the card of the links; None: a page without controls.
     """
+    build_budget_page(hub.budget)
 
     @ui.page("/", title="Outrider")
     def show(request: Request) -> None:

@@ -1,6 +1,7 @@
 // Buildings on the map: greys by height, faint while no UGV knows them, red once touched.
 
 import { FONT } from "./canvas.js";
+import { known } from "./dom.js";
 
 const [UNKNOWN, HIT] = [0, 2]; // states of a hazard
 const LABELED = 9; // distance from all walls at which the height is written on a building [px]
@@ -115,12 +116,14 @@ function between([from, to], share) {
 
 // Return the radius of a circle with the UAVs at their altitudes [m]; of a UGV's UAVs, the lowest counts.
 export function ringRadius({ space, escorts }, { symbol, around, radius }, vehicles) {
-  const { camera } = space;
   const altitude = (name) => (vehicles[name] ? vehicles[name].altitude : null);
-  if (!camera || symbol === "r_s") return radius;
-  const tangent = Math.tan(camera.half_angle);
-  const marker = symbol === "r_v" ? space.markers[around] || 0 : 0;
+  if (!space.camera || symbol === "r_s") return radius;
   const uavs = symbol === "r" ? [around] : escorts.filter(([, ugv]) => ugv === around).map(([uav]) => uav);
-  const heights = uavs.map(altitude).filter((z) => z !== null && z !== undefined);
-  return Math.min(radius, ...heights.map((z) => Math.max(0, (z - marker) * tangent)));
+  return Math.min(radius, ...uavs.map((uav) => sightRadius(space, symbol === "r_v" ? around : "", radius, altitude(uav))));
+}
+
+// Return the distance within which a UAV at an altitude sees a UGV that no building hides, or the ground without a UGV.
+export function sightRadius({ camera, markers }, ugv, most, altitude) {
+  if (!camera || !known(altitude)) return most;
+  return Math.min(most, Math.max(0, (altitude - (markers[ugv] || 0)) * Math.tan(camera.half_angle)));
 }

@@ -90,7 +90,7 @@ export class Charts {
     c.font = `11px ${FONT}`;
     c.textBaseline = "middle";
     c.textAlign = "right";
-    for (const value of ticks(0, high, h / 34)) {
+    for (const value of ticks(0, high, Math.max(h / 34, 2.5))) {
       c.fillStyle = colors.rule;
       c.fillRect(left, Math.round(Y(value)), w, 1);
       c.fillStyle = colors.muted;

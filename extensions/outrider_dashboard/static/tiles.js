@@ -1,5 +1,6 @@
 // Tiles above the map; with several pairs they show the worst one.
 
+import { sightRadius } from "./buildings.js";
 import { PER_ESCORT } from "./charts.js";
 import { $, escapeText, known, setHtml, setText, setTitle } from "./dom.js";
 import { metric, numberOf, rowsOf, textOf, textOfReason } from "./metrics.js";
@@ -48,7 +49,13 @@ function certificateOf(truth) {
   return { text: `not certified${whose}`, reasons };
 }
 
-export function showTiles({ now, vehicles, escorts: every, geometry, status, truth, state }) {
+// Return why a UAV whose radius of sight is 0 cannot see its UGV: a building hides it, or the UAV is below the marker.
+function sightless(scene, truth, [uav, ugv]) {
+  const low = scene && sightRadius(scene.space, ugv, Infinity, truth.vehicles[uav].altitude) === 0;
+  return low ? "too low" : "hidden";
+}
+
+export function showTiles({ now, vehicles, escorts: every, geometry, scene, status, truth, state }) {
   const of = (name) => metric("now", name);
   show(of("time"), truth ? truth.time : status && status.time);
   show(of("realtime_factor"), state && state.factor);
@@ -64,9 +71,9 @@ export function showTiles({ now, vehicles, escorts: every, geometry, status, tru
     const worst = !found.length ? null : row.total === "min" ? Math.min(...found) : Math.max(...found);
     const pair = several && worst !== null ? escorts[values.indexOf(worst)][0] : "";
     const each = several ? values.map((value, k) => `${escorts[k].join(" and ")}: ${textOf(row, value)}`) : [];
-    const note = !several ? "" : [unsure.length ? "" : pair, text].filter(Boolean).join(" · ");
+    const note = [unsure.length ? "" : pair, text].filter(Boolean).join(" · ");
     const bad = name === "margin" && worst !== null && worst <= 0;
-    show(row, worst, { text: instead, unit: text && !several ? `${row.unit} · ${text}` : row.unit, note, bad, which: OF_SEVERAL[row.total], more: [...each, ...unsure] });
+    show(row, worst, { text: instead, unit: instead ? "" : row.unit, note, bad, which: OF_SEVERAL[row.total], more: [...each, ...unsure] });
   };
   const { text, reasons } = certificateOf(truth);
   const sight = (k) => truth && truth.escorts[decisive[k]] && truth.escorts[decisive[k]].sight_radius;
@@ -75,9 +82,10 @@ export function showTiles({ now, vehicles, escorts: every, geometry, status, tru
     if (!geometry || !known(distance)) return null;
     return radius(k) === 0 ? 0 : radius(k) - distance;
   });
-  const hidden = margins.some((margin, k) => margin === Math.min(...margins.filter(known)) && radius(k) === 0);
+  const worst = margins.findIndex((margin, k) => margin === Math.min(...margins.filter(known)) && radius(k) === 0);
+  const instead = worst < 0 ? null : sightless(scene, truth, escorts[worst]);
   showWorst("distance", column(0));
-  showWorst("margin", margins, { text, unsure: reasons, instead: hidden ? "hidden" : null });
+  showWorst("margin", margins, { text, unsure: reasons, instead });
   $("tile-margin").classList.toggle("unsure", reasons.length > 0);
   showWorst("coverage_error", column(1));
   showWorst("estimate_error", column(2));
