@@ -47,12 +47,18 @@ class BudgetJob:
     @property
     def running(self) -> bool:
         """True while a computation runs."""
-        return self._child is not None
+        return self._child is not None and self.report.budget is None
+
+    @property
+    def pid(self) -> int:
+        """Process id of the computation; 0: there is none."""
+        return 0 if self._child is None else self._child.pid
 
     def start(self, risk: float) -> None:
         """Start the computation at a risk per link, unless one runs."""
         if self.running or self.missing:
             return
+        self.cancel()  # the last one, which has reported its result
         self.report, self.fault, self._lines = (
             BudgetReport(step="starting"),
             "",

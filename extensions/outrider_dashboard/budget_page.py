@@ -20,16 +20,16 @@ _HEADER = """<div class="brand"><b>Outrider</b><span>Network budget</span></div>
 <div class="tools"><a href="./">Back to the run</a><button type="button" id="theme"></button></div>"""
 _ABOUT = (
     "How much loss, delay and silence can this run afford? For the scenario as it was started: changes of law and "
-    "links during the run are not included. `outrider network budget` prints the same."
+    "links during the run are not included. The command outrider network budget prints the same."
 )
 _BOUNDS = (
-    "A bound of [certificate] may grow up to the largest value, the others unchanged; r_cert is the price: nearer "
-    "than this the law acts freely. The links need the middle one at this risk. Bar: declared as a share of the "
-    "largest; mark: needed."
+    "Needed: what the links keep at this risk. Largest: what still lets sight be certified, the other bounds "
+    "unchanged. Its price is r_cert: nearer than this the law acts freely. Bar: declared, as a share of the largest; "
+    "mark: needed."
 )
 _LINKS = (
-    "One property of one link varies: how far with the bounds as declared, and how far with the link's own bound at "
-    "its largest. Bar: now; mark: with the declared bounds."
+    "Each may grow this far with the bounds as declared, and with the link's own bound at its largest. Bar: now; mark: "
+    "with the declared bounds; end: with the largest bound."
 )
 
 

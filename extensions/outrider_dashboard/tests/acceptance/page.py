@@ -21,6 +21,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from page_budget import check_budget
 from page_checks import check_pairs, check_proxy, check_sub_path
 from page_stage import (
     OBSERVERS,
@@ -586,6 +587,7 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:
             report("a proxy without WebSockets", check_proxy(desktop, port))
             report("a proxy with a path of its own", check_sub_path(browser, door, TOKEN))
             report("three pairs", check_pairs(browser, processes, pictures))
+            report("network budget", check_budget(browser, processes, pictures))
             report("a team", check_team(browser, processes, pictures))
             report("a dead simulator", check_dead_simulator(third, processes))
             report("doors", check_doors(port, door, processes, refused))

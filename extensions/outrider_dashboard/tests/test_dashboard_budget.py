@@ -1,0 +1,88 @@
+"""The page of the network budget: the command's result, one computation for all browsers, cancelled and refused."""
+
+import msgspec
+import pytest
+from test_dashboard_run import page_of
+
+from outrider.running.network_budget import bound_table, link_table
+from outrider_dashboard.budget_job import BudgetJob
+from processes import alive, child_of, started, wait_until
+from sim.scenario.loading import load_scenario
+from sim.scenario.resolved import as_toml
+from tabular import words
+
+pytestmark = pytest.mark.usefixtures("nothing_left_behind")
+
+
+def job_of(*overrides: str) -> BudgetJob:
+    return BudgetJob(as_toml(load_scenario("escort", overrides=["duration=5.0", *overrides])))
+
+
+def finished(job: BudgetJob) -> bool:
+    job.update()
+    return not job.running
+
+
+def test_job_finds_what_the_command_prints(command) -> None:
+    job = job_of()
+    job.start(1e-2)
+    shares = list[float]()
+
+    def is_done() -> bool:
+        job.update()
+        shares.append(job.report.share)
+        return not job.running
+
+    wait_until(is_done, 240.0)
+    assert job.fault == ""
+    assert job.budget is not None
+    assert shares == sorted(shares)
+    assert 0.0 < sorted(shares)[len(shares) // 2] <= shares[-1] == 1.0
+    printed = command(*words("network budget escort --duration 5 --risk 1e-2 --json"))
+    assert msgspec.json.decode(printed.stdout.encode(), type=type(job.budget)) == job.budget
+    assert len(bound_table(job.budget).rows) == 5
+    assert len(link_table(job.budget).rows) == 8
+
+
+def test_cancelled_job_ends_its_process_and_starts_again() -> None:
+    job = job_of()
+    job.start(1e-3)
+    pid = job.pid
+    job.start(1e-3)  # another browser: the same computation
+    assert job.pid == pid
+    job.cancel()
+    assert not job.running
+    assert not alive(pid)
+    job.start(1e-3)
+    assert job.running
+    job.close()
+
+
+def test_scenario_without_bounds_and_unknown_scenario_say_why() -> None:
+    job = job_of("law.name=tracking")
+    job.start(1e-3)
+    wait_until(lambda: finished(job), 120.0)
+    assert "no UAV relies on declared bounds" in job.fault
+    unknown = BudgetJob("")
+    assert "--scenario" in unknown.missing
+    unknown.start(1e-3)
+    assert not unknown.running
+
+
+def test_page_of_a_run_offers_the_budget() -> None:
+    import httpx2  # noqa: PLC0415 - beside the page only
+
+    with started(*words("run --with dashboard:port=0 --no-files")) as run:
+        page = page_of(run)
+        for path, text in (("", "Network budget"), ("budget", "Compute")):
+            answer = httpx2.get(
+                f"http://127.0.0.1:{page.port}/{path}",
+                headers={"Cookie": page.cookie},
+                trust_env=False,
+                timeout=20.0,
+            )
+            assert text in answer.text
+        assert "not known here" not in answer.text
+        refused = httpx2.get(f"http://127.0.0.1:{page.port}/budget", trust_env=False, timeout=20.0)
+        assert refused.status_code == 401
+        assert child_of(run, "dashboard")
