@@ -2,11 +2,10 @@
 
 import msgspec
 import pytest
-from test_dashboard_run import page_of
 
 from outrider.running.network_budget import bound_table, link_table
 from outrider_dashboard.budget_job import BudgetJob
-from processes import alive, child_of, started, wait_until
+from processes import alive, wait_until
 from sim.scenario.loading import load_scenario
 from sim.scenario.resolved import as_toml
 from tabular import words
@@ -67,22 +66,3 @@ def test_scenario_without_bounds_and_unknown_scenario_say_why() -> None:
     assert "--scenario" in unknown.missing
     unknown.start(1e-3)
     assert not unknown.running
-
-
-def test_page_of_a_run_offers_the_budget() -> None:
-    import httpx2  # noqa: PLC0415 - beside the page only
-
-    with started(*words("run --with dashboard:port=0 --no-files")) as run:
-        page = page_of(run)
-        for path, text in (("", "Network budget"), ("budget", "Compute")):
-            answer = httpx2.get(
-                f"http://127.0.0.1:{page.port}/{path}",
-                headers={"Cookie": page.cookie},
-                trust_env=False,
-                timeout=20.0,
-            )
-            assert text in answer.text
-        assert "not known here" not in answer.text
-        refused = httpx2.get(f"http://127.0.0.1:{page.port}/budget", trust_env=False, timeout=20.0)
-        assert refused.status_code == 401
-        assert child_of(run, "dashboard")

@@ -36,9 +36,9 @@ class Page:
     port: int
     cookie: str
 
-    def text(self) -> str:
+    def text(self, path: str = "") -> str:
         answer = httpx2.get(
-            f"http://127.0.0.1:{self.port}/",
+            f"http://127.0.0.1:{self.port}/{path}",
             headers={"Cookie": self.cookie},
             trust_env=False,
             timeout=20.0,
@@ -93,7 +93,10 @@ def test_page_opens_with_the_run_shows_all_and_ends_with_it() -> None:
     arguments = words("run --with dashboard:port=0 --realtime 40 --duration 60 --no-files --json")
     with started(*arguments) as run:
         page = page_of(run)
-        assert "Outrider" in page.text()
+        assert "Network budget" in page.text()
+        budget = page.text("budget")
+        assert "Compute" in budget
+        assert "not known here" not in budget
         rows: list[list[float]] = []
         statuses: list[Frame] = []
         with browser(page) as channel:
@@ -168,6 +171,7 @@ def test_page_replays_a_recording_without_controls(recording: Path) -> None:
     with started("replay", str(recording), *arguments) as replay:
         page = page_of(replay)
         assert "this is a recording" in page.text()
+        assert "not known here" not in page.text("budget")
         assert httpx2.get(f"http://127.0.0.1:{page.port}/", trust_env=False).status_code == 401
         began = time.monotonic()
         rows: list[list[float]] = []
