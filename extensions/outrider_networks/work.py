@@ -4,9 +4,7 @@ import sys
 
 import msgspec
 
-from bus.errors import ScenarioError
 from outrider.cli.console import (
-    ERR,
     OUT,
     print_json,
     print_table,
