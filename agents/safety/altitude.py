@@ -32,6 +32,7 @@ from agents.safety.pending import (
     Height,
     PendingCommands,
 )
+from agents.safety.search import search_control
 from agents.safety.trajectories import end_disc
 from bus.messages.decision import NotCertified
 from sim.compiling.compile import compiled
@@ -262,6 +263,8 @@ def decide_in_space(
                 levels[level], discs, plan, begins, beginning.ahead, nominal.x, nominal.y
             )
             source = BACKUP if source == NOMINAL and u_z != nominal.z else source
+            if source == BEST_EFFORT:
+                u_x, u_y = search_control(levels[level], memory, begins, beginning.ahead, u_x, u_y)
         else:
             u_x, u_y = best_effort(levels[0], discs, plan, beginning.ahead)
             u_x, u_y, u_z = _climb(levels, vertical, ahead, beginning.ahead, u_x, u_y)

@@ -30,6 +30,7 @@ from agents.safety.pending import (
     send_plan,
     update_plan,
 )
+from agents.safety.search import search_control
 from agents.safety.trajectories import (
     contradicts_plan,
     end_disc,
@@ -317,4 +318,6 @@ def decide(
     u_x, u_y, source = choose_control(
         bounds, memory.discs, memory.plan, begins, beginning.ahead, u_x, u_y
     )
+    if source == BEST_EFFORT:
+        u_x, u_y = search_control(bounds, memory, begins, beginning.ahead, u_x, u_y)
     end_decision(bounds, memory, tick, own, beginning, (u_x, u_y), source)

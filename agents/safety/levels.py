@@ -29,7 +29,7 @@ def bounds_at(briefing: UavBriefing, z: float | None = None) -> SafetyBounds:
     radius = briefing.visibility_radius
     if z is not None:
         radius = radius_at(briefing, z - FLOOR_MARGIN)
-    return certificate(
+    bounds = certificate(
         safety_bounds(
             briefing.safety,
             visibility_radius=radius,
@@ -43,6 +43,10 @@ def bounds_at(briefing: UavBriefing, z: float | None = None) -> SafetyBounds:
             roofs=-math.inf if z is None else clear_altitude(briefing),
         )
     )
+    if z is None or briefing.guaranteed_clearance > 0.0:
+        return bounds
+    hidden = camera_radius(briefing, z - FLOOR_MARGIN) - radius
+    return bounds._replace(search_radius=bounds.search_radius + hidden)
 
 
 def radius_at(briefing: UavBriefing, z: float) -> float:
@@ -59,6 +63,11 @@ def radius_at(briefing: UavBriefing, z: float) -> float:
             briefing.guaranteed_clearance,
         )
     )
+
+
+def camera_radius(briefing: UavBriefing, z: float) -> float:
+    """Return the distance within which the UGV is visible from an altitude if no building hides it [m]."""
+    return radius_at(msgspec.structs.replace(briefing, max_building_height=None), z)
 
 
 def clear_altitude(briefing: UavBriefing) -> float:

@@ -53,6 +53,23 @@ class FilterFlags(NamedTuple):
     """1 if this filter has sent all commands since tick 0."""
 
 
+class SpiralSearch(NamedTuple):
+    """Search for a UGV out of sight, see `agents.safety.search`; a row of an array of length one."""
+
+    tick: int
+    """Tick of the measurement around which the UAV searches; NEVER: it has not searched."""
+    direction: float
+    """1 outward, -1 inward; 0: the UAV still flies to the measurement."""
+    phase: float
+    """Angle of the pursued point along the spiral [rad]."""
+    heading: float
+    """Direction of the spiral at its centre [rad]."""
+    pitch: float
+    speed: float
+    reach: float
+    """See `agents.safety.search.Spiral`."""
+
+
 class FilterMemory(NamedTuple):
     """Memory of one UAV's filter, from `filter_memory`.
 
@@ -71,6 +88,8 @@ class FilterMemory(NamedTuple):
     """Sent plans and the committed trajectory."""
     decision: RecordArray
     """`FilterDecision` of the last tick. Shape (1,)."""
+    search: RecordArray
+    """`SpiralSearch`. Shape (1,)."""
 
 
 def track_ticks(bounds: SafetyBounds) -> int:
@@ -98,9 +117,17 @@ def filter_memory(delay_ticks: int, depth: int) -> FilterMemory:
         flags=np.zeros(1, dtype=record_type(FilterFlags)),
         pending=pending_commands(delay_ticks),
         decision=np.zeros(1, dtype=record_type(FilterDecision)),
+        search=np.zeros(1, dtype=record_type(SpiralSearch)),
     )
     reset_memory(memory)
     return memory
+
+
+@compiled
+def _reset_search(search: RecordArray) -> None:
+    row = search[0]
+    row.tick, row.direction, row.phase, row.heading = NEVER, 0.0, 0.0, 0.0
+    row.pitch, row.speed, row.reach = 0.0, 0.0, 0.0
 
 
 @compiled
@@ -121,6 +148,7 @@ def reset_memory(memory: FilterMemory) -> None:
     decision.vertical_acceleration = 0.0
     decision.source, decision.reason = _NOMINAL, _NO_MEASUREMENT
     decision.certified_distance = math.inf
+    _reset_search(memory.search)
 
 
 @compiled
@@ -132,6 +160,7 @@ def restart_memory(memory: FilterMemory) -> None:
     for k in range(memory.track.shape[0]):
         memory.track[k].tick = NEVER
     memory.flags[0].contradicted, memory.flags[0].from_start = 0, 0
+    _reset_search(memory.search)
     forget_checks(memory.pending)
 
 

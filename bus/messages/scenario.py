@@ -108,6 +108,8 @@ class SafetyParameters(Message, frozen=True, kw_only=True):
     """Largest distance between reference and true position [m]; None: unbounded."""
     margin: NonNegative = 0.0
     """Margin subtracted from r_v [m], for effects that the theorem does not cover."""
+    search: bool = False
+    """True: if the UGV may be out of sight, the UAV searches for it; False: it waits at the newest measurement."""
 
 
 class Estimator(Message, frozen=True, kw_only=True):

@@ -14,6 +14,7 @@ from outrider.running.assumptions import (
 )
 from outrider.running.first_tick import check_first_tick
 from outrider.running.own_functions import check_own_functions
+from outrider.running.reacquisition import reacquisition
 from outrider.running.resolve import resolve
 from outrider.running.tolerance import verdict
 from outrider.running.user_code import foreign_code
@@ -42,8 +43,9 @@ def command(
     Exits with 0, or with 2 and a line for each independent fault, which names file, field and value. The command
     accepts the options of `run` that change the scenario, and prints the same warnings. With a safety filter, it
     reports the bounds that links or detector may exceed, whether sight can be certified always, not always, hardly ever
-    or never, and, for each single field, the smallest change that would make it certifiable. Your own functions are
-    loaded and called for one tick; functions named in the file need --allow-code.
+    or never, for each single field the smallest change that would make it certifiable, and the longest time of a search
+    after lost sight. Your own functions are loaded and called for one tick; functions named in the file need
+    --allow-code.
 
     Example: outrider check my-scenario.toml --network wifi-poor
     """
@@ -72,6 +74,7 @@ def command(
         check_first_tick(scenario)
     certifiable = how_certifiable(scenario)
     verdicts = {uav.name: verdict(scenario, uav) for uav in filter(scenario.filters, scenario.uav)}
+    searches = {uav.name: reacquisition(scenario, uav) for uav in scenario.uav}
     if json:
         print_json(
             {
@@ -79,6 +82,7 @@ def command(
                 "valid": True,
                 "certifiable": certifiable,
                 "verdicts": {name: one._asdict() for name, one in verdicts.items()},
+                "searches": {name: one and one._asdict() for name, one in searches.items()},
                 "warnings": warnings,
             }
         )
@@ -97,6 +101,9 @@ def command(
         lowest = certified_from(uav_briefing(scenario, uav.name, scenario.seed))
         if lowest:
             OUT.tell(f"{uav.name}: {lowest}")
+    for name, search in searches.items():
+        if search is not None:
+            OUT.tell(f"{name}: {search.line}")
     OUT.tell(
         f"{scenario.name}: valid ({vehicles}; {law_text}; {scenario.duration:g} s, {scenario.ticks} ticks)"
     )

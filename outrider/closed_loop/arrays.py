@@ -154,6 +154,7 @@ def _filter_of(filters: FilterMemory, delay: int, world: int, uav: int) -> Filte
             pending.expected[world, uav],
         ),
         filters.decision[world, uav],
+        filters.search[world, uav],
     )
 
 

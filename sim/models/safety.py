@@ -51,6 +51,10 @@ class SafetyBounds(NamedTuple):
     """Altitude from which these bounds hold [m]; minus infinity in the plane."""
     roofs: float
     """Altitude that clears every roof [m]; minus infinity if there are no buildings."""
+    search: bool
+    """True: the UAV searches for a UGV out of sight."""
+    search_radius: float
+    """Radius within which a search sees the UGV [m]: `radius`, or without regard to buildings that may hide it."""
     valid: bool
     """True if no assumption is known to be violated; `agents.safety.handover.check_assumptions` gives the texts."""
 
@@ -137,5 +141,7 @@ def safety_bounds(
         handover_bound=math.nan,
         floor=float(floor),
         roofs=float(roofs),
+        search=safety.search,
+        search_radius=radius - tick_sagitta(float(v_a), float(u_a), float(dt)),
         valid=False,
     )

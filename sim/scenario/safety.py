@@ -66,4 +66,5 @@ def safety_parameters(scenario: Scenario, uav: str) -> SafetyParameters:
         else given.max_command_interval,
         max_tracking_error=tracking,
         margin=given.margin,
+        search=vehicle.search,
     )

@@ -130,6 +130,10 @@ class Uav(Table, frozen=True, kw_only=True):
     """Inner loop, which tracks the reference state against wind and position errors."""
     law: OwnLaw | None = None
     """Control law of this UAV; default: the scenario's."""
+    search: bool = True
+    """True: inside the safety filter, it searches for a UGV out of sight on a spiral; False: it waits at the newest
+    measurement.
+    """
     endurance: Positive | None = None
     """Flight time with a full charge [s], at the start and after charging; default: unlimited. Only in a team."""
     charge_time: Positive = 300.0

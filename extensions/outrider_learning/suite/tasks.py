@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, SupportsIndex, overload
 
+import msgspec
+
 if TYPE_CHECKING:
     from outrider.envs.single import SingleEnv
     from outrider.envs.vector import OutriderVectorEnv
@@ -47,9 +49,12 @@ class Task:
         """
         from sim.scenario.loading import load_scenario  # noqa: PLC0415 - it imports compiled code
 
-        return load_scenario(
+        found = load_scenario(
             self.base, overrides={"name": self.name, "title": self.hard, **self.changes}
         )
+        # these suites are older than the search: their UAVs wait at the newest measurement
+        uavs = tuple(msgspec.structs.replace(uav, search=False) for uav in found.uav)
+        return msgspec.structs.replace(found, uav=uavs)
 
     @property
     def team(self) -> bool:
