@@ -53,7 +53,7 @@ class FilterFlags(NamedTuple):
     """1 if this filter has sent all commands since tick 0."""
 
 
-class SpiralSearch(NamedTuple):
+class SpiralSearch:
     """Search for a UGV out of sight, see `agents.safety.search`; a row of an array of length one."""
 
     tick: int

@@ -13,7 +13,7 @@ class Source(StrEnum):
     BACKUP = "BACKUP"
     """A backup trajectory instead of the nominal control."""
     BEST_EFFORT = "BEST_EFFORT"
-    """No backup trajectory exists: the UAV flies towards the newest measurement, or brakes if it has none."""
+    """No backup trajectory exists: the UAV flies to the newest measurement and searches, or brakes if it has none."""
 
 
 class NotCertified(StrEnum):
