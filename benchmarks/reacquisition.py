@@ -29,7 +29,6 @@ CASES = (
     ("`escort`, `wander`, blackouts", "escort", ["ugv.0.driver=wander", *BLACKOUTS]),
     ("`town`, blackouts", "town", BLACKOUTS),
     ("`town`, `wander`, buildings hide", "town", ["ugv.0.driver=wander"]),
-    ("`town`, `evade`, buildings hide", "town", ["ugv.0.driver=evade"]),
 )
 """Name, scenario and changes. Only `navigate` keeps the distance from buildings at which none hides the UGV."""
 DURATION = "duration=600"

@@ -54,4 +54,6 @@ def reacquisition(scenario: Scenario, uav: Uav) -> Reacquisition | None:
         )
         for x, y in starts
     ]
-    return Reacquisition(distance, near, max(times), bounds.search_radius > bounds.radius + 2.0 * MARGIN)
+    return Reacquisition(
+        distance, near, max(times), bounds.search_radius > bounds.radius + 2.0 * MARGIN
+    )
