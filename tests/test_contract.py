@@ -45,7 +45,7 @@ def test_uav_receives_exactly_these_fields() -> None:
         area width height cell sensor model peak range desired_coverage covered lower upper
         detector noise truncation period estimator enabled gate max_rejections acceleration_share
         safety max_measurement_error max_measurement_age max_command_delay margin
-        max_command_interval max_tracking_error command_timeout
+        max_command_interval max_tracking_error search command_timeout
         ground tile map_update_rate tile_reports column row state
         origin latitude longitude altitude
         initial_altitude min_altitude max_altitude max_climb_rate max_vertical_acceleration
