@@ -26,7 +26,7 @@ from typing import Any, TypeVar
 from bus.errors import Ended, OutriderError, ScenarioError, place_in_user_code, shortened
 
 GROUPS = (
-    *("commands", "companions", "drivers", "laws"),
+    *("bodies", "commands", "companions", "drivers", "laws"),
     *("policies", "profiles", "roles", "sensors", "sinks"),
 )
 """Groups of entry points, `outrider.<group>`."""

@@ -1,4 +1,4 @@
-"""Registry of laws, drivers, sensors and hazards: one row each, with all that other modules need.
+"""Registry of laws, drivers, sensors, bodies and hazards: one row each, with all that other modules need.
 
 The names appear in messages (`Law.name`, `UgvBriefing.driver`, `Control.driver`, `Sensor.model`) and in scenarios. The
 tables are in the lowest layer so that the simulator, which must not import agents, checks scenarios and operators'
@@ -25,11 +25,11 @@ from bus.messages.laws import (
     TrackingParameters,
 )
 from bus.plugins import load_all
-from bus.rows import DriverRow, HazardKindRow, LawRow, SensorRow
+from bus.rows import BodyRow, DriverRow, HazardKindRow, LawRow, SensorRow
 
-_Row = TypeVar("_Row", bound="LawRow | DriverRow | SensorRow | HazardKindRow")
+_Row = TypeVar("_Row", bound="LawRow | DriverRow | SensorRow | BodyRow | HazardKindRow")
 _Kind = TypeVar("_Kind")
-_CodeRow = TypeVar("_CodeRow", bound="LawRow | DriverRow | SensorRow")
+_CodeRow = TypeVar("_CodeRow", bound="LawRow | DriverRow | SensorRow | BodyRow")
 
 
 class _Added(NamedTuple):
@@ -41,7 +41,7 @@ class _Added(NamedTuple):
     table: dict[str, Any]
 
 
-_ADDED: dict[LawRow | DriverRow | SensorRow, _Added] = {}
+_ADDED: dict[LawRow | DriverRow | SensorRow | BodyRow, _Added] = {}
 
 
 def _table(*rows: _Row) -> dict[str, _Row]:
@@ -69,7 +69,7 @@ def _extended(group: str, kind: type[_CodeRow], *rows: _CodeRow) -> Mapping[str,
     return MappingProxyType(table)
 
 
-def _fault(row: LawRow | DriverRow | SensorRow, table: Mapping[str, object]) -> str:
+def _fault(row: LawRow | DriverRow | SensorRow | BodyRow, table: Mapping[str, object]) -> str:
     """Describe what is wrong with a row of another package; empty if nothing is."""
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,31}", row.name):
         return f"name = {row.name!r}: wrong form; allowed: up to 32 of a-z, 0-9 and _, the first a letter"
@@ -77,6 +77,8 @@ def _fault(row: LawRow | DriverRow | SensorRow, table: Mapping[str, object]) -> 
         return f"name = {row.name!r}: the name is taken"
     if isinstance(row, LawRow) and not _is_subclass(row.parameters, LawParameters):
         return f"parameters = {row.parameters!r}: wrong type; allowed: a subclass of LawParameters"
+    if isinstance(row, BodyRow) and not row.make:
+        return "make = '': missing; allowed: module:class"
     return ""
 
 
@@ -109,8 +111,8 @@ def module_of(row: LawRow | DriverRow | SensorRow, *needed: str) -> Any:  # noqa
         return module
 
 
-def maker_of(row: DriverRow) -> Any:  # noqa: ANN401 - a class
-    """Import the class of a driver's row; see `module_of`."""
+def maker_of(row: DriverRow | BodyRow) -> Any:  # noqa: ANN401 - a class
+    """Import the class of a driver's or a body's row; see `module_of`."""
     if row not in _ADDED:
         return resolve(row.make)
     with plugins.foreign(row.make):
@@ -315,6 +317,15 @@ SENSORS = _extended(
 )
 """Sensors by name."""
 DEFAULT_SENSOR = "hill"
+
+
+BODIES = _extended(
+    "bodies",
+    BodyRow,
+    BodyRow(name="point", about="point mass with a linear inner loop (uav.tracking)"),
+)
+"""Bodies of UAVs by name."""
+DEFAULT_BODY = "point"
 
 
 HAZARDS: Mapping[str, HazardKindRow] = _table(

@@ -1,7 +1,7 @@
-"""Rows of the registry: descriptions of laws, drivers, sensors and kinds of hazards.
+"""Rows of the registry: descriptions of laws, drivers, sensors, bodies and kinds of hazards.
 
-A package that adds a law, a driver or a sensor makes its row in a module that imports nothing else from Outrider but
-the parameters of laws, `bus.messages.laws`.
+A package that adds a law, a driver, a sensor or a body makes its row in a module that imports nothing else from
+Outrider but the parameters of laws, `bus.messages.laws`.
 """
 
 from dataclasses import dataclass
@@ -90,6 +90,17 @@ class SensorRow:
     """Module with the compiled functions `quality` and `slope` of the squared distance."""
     about: str
     """One-line description for help texts."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BodyRow:
+    """Body of a UAV: the model of its true motion."""
+
+    name: str
+    about: str
+    """One-line description for help texts."""
+    make: str = ""
+    """Class of `sim.models.body.Body`, constructed from a `Scenario` and its `Uav`; empty: the compiled inner loop."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -237,6 +237,8 @@ class CertificateStatus(Message, frozen=True, kw_only=True):
     """Declared largest tracking error [m]; None: no disturbance, or no bound."""
     largest_tracking_error: NonNegative | None = None
     """Largest tracking error so far [m]; None: no disturbance."""
+    tracking_exceeded: Tick | None = None
+    """Ticks in which the tracking error exceeded its declared bound; None: no disturbance."""
 
 
 class TeamStatus(Message, frozen=True, kw_only=True):

@@ -22,10 +22,11 @@ from outrider.closed_loop.pilots import (
 )
 from outrider.closed_loop.random_worlds import DrawnWorlds, tables_of_worlds
 from outrider.closed_loop.teams import team_metrics
-from outrider.closed_loop.tick import run_worlds
+from outrider.closed_loop.tick import begin_ticks, end_ticks, run_worlds
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
 from sim.engine.batch import Batch, Fresh
+from sim.engine.bodies import Bodies
 from sim.engine.ground_state import set_driver
 from sim.engine.mission import mission_of
 from sim.engine.monitor import certificate_counters
@@ -221,7 +222,23 @@ class ClosedLoop:
         which = np.ascontiguousarray(worlds, dtype=np.int64)
         given = np.ascontiguousarray(actions, dtype=np.float64)
         loop = self.tables, self.state, self.pilots, self.batch.ground
+        if self.batch.bodies is not None:
+            self._run_with_bodies(self.batch.bodies, which, given, ticks)
+            return
         self.batch.workers.share(run_worlds, len(worlds), *loop, which, given, ticks)
+
+    def _run_with_bodies(
+        self, bodies: Bodies, worlds: IntArray, actions: FloatArray, ticks: int
+    ) -> None:
+        """Advance worlds whose bodies Python advances within each tick."""
+        loop = self.tables, self.state, self.pilots, self.batch.ground
+        share, rows = self.batch.workers.share, self.state.rows
+        for tick in range(ticks):
+            started = worlds[self.state.started[worlds] != 0]
+            share(begin_ticks, len(started), *loop, started, actions)
+            bodies.step(self.state.batch, started)
+            share(end_ticks, len(worlds), *loop, worlds, tick == ticks - 1)
+            worlds = worlds[(rows.terminated[worlds] | rows.truncated[worlds]) == 0]
 
     def metrics(self, uav: str) -> dict[str, FloatArray]:
         """Return the true metrics of a UAV's episode so far, in each world; arrays of shape (worlds,).
@@ -231,7 +248,8 @@ class ClosedLoop:
         `certificate_broken` counts the ticks that it did not certify although the previous tick was certified and all
         assumptions held. Any count above zero is a fault of the certificate. `lost_without_clearance` counts the ticks
         that the filter certified with the UGV out of sight, while the UGV was nearer to a building than the filter may
-        assume: they are not counted as certified. A UAV of a team also has the metrics of `TeamStatus`.
+        assume: they are not counted as certified. `tracking_exceeded` counts the ticks with an active safety filter in
+        which the tracking error exceeded its declared bound. A UAV of a team also has the metrics of `TeamStatus`.
         """
         ticks, counts = self.state.batch.ticks, self.state.certificates[:, self.uavs.index(uav)]
         standings = self.state.rows.standings[:, self.names.index(uav)]
@@ -254,6 +272,7 @@ class ClosedLoop:
             "certified_while_lost": counts["certified_while_lost"].astype(np.float64),
             "lost_without_clearance": counts["lost_without_clearance"].astype(np.float64),
             "certificate_broken": counts["broken"].astype(np.float64),
+            "tracking_exceeded": counts["tracking_exceeded"].astype(np.float64),
         }
 
     def decisions(self, uav: str) -> RecordArray:

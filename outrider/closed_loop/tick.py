@@ -39,7 +39,13 @@ from sim.engine.monitor import (
     reset_filter,
 )
 from sim.engine.world_state import Vehicle, WorldParameters
-from sim.engine.world_tick import begin_world, measure, world_tick
+from sim.engine.world_tick import (
+    begin_world,
+    begin_world_tick,
+    end_world_tick,
+    measure,
+    world_tick,
+)
 from sim.env.rows import advance_rows, observe_rows
 from sim.models.field import coverage_gradient, sample
 from sim.models.safety import SafetyBounds
@@ -219,6 +225,57 @@ def _count_certificates(
             counts[world, u].certified_before = False
 
 
+@inlined
+def _command(
+    tables: LoopTables,
+    state: LoopState,
+    pilots: Pilots | None,
+    ground: GroundState | None,
+    world: int,
+    actions: FloatArray,
+) -> None:
+    """Write the commands of a world's vehicles."""
+    if pilots is None:
+        tick = state.batch.ticks[world]
+        apply_actions(state.batch.vehicles, tables.action_row, world, tick, actions)
+    else:
+        command(tables, state, pilots, ground, world, actions)
+
+
+@inlined
+def _evaluate(
+    tables: LoopTables,
+    state: LoopState,
+    pilots: Pilots | None,
+    ground: GroundState | None,
+    world: int,
+    begins: bool,
+    last: bool,
+) -> bool:
+    """Evaluate a world after a tick, or at the start of its episode; return whether the episode has ended.
+
+    Args:
+        tables, state, pilots, ground, world: As in `run_worlds`.
+        begins: True at the start of the episode.
+        last: True if the observation rows are needed.
+    """
+    batch, rows = state.batch, state.rows
+    if pilots is not None:
+        if not begins:
+            _count_actions(tables, state, pilots, world, batch.ticks[world] - 1)
+        perceive(tables, state, pilots, ground, world)
+    measure(tables.batch, batch, world, tables.rows.episode[0].error)
+    advance_rows(tables.batch, batch, ground, tables.rows, rows, world, begins)
+    over = bool(rows.terminated[world] or rows.truncated[world])
+    if pilots is not None:
+        _count_certificates(tables, state, pilots, ground, world, over)
+    if last or over:
+        observe_rows(tables.batch, batch, tables.rows, rows, world)
+        if pilots is not None:
+            _complete_rows(tables, state, pilots, world)
+    return over
+
+
 @released
 def run_worlds(
     tables: LoopTables,
@@ -243,32 +300,65 @@ def run_worlds(
         ticks: Number of ticks.
         begin, end: Rows of `worlds` that this thread advances.
     """
-    batch, rows = state.batch, state.rows
+    batch = state.batch
     for n in range(begin, end):
         k = worlds[n]
         for tick in range(ticks):
-            begins, now = state.started[k] == 0, batch.ticks[k]
+            begins = state.started[k] == 0
             if begins:
                 state.started[k] = 1
                 begin_world(tables.batch, batch, ground, k)
             else:
-                if pilots is None:
-                    apply_actions(batch.vehicles, tables.action_row, k, now, actions[k])
-                else:
-                    command(tables, state, pilots, ground, k, actions[k])
+                _command(tables, state, pilots, ground, k, actions[k])
                 world_tick(tables.batch, batch, ground, k, True)
-            if pilots is not None:
-                if not begins:
-                    _count_actions(tables, state, pilots, k, now)
-                perceive(tables, state, pilots, ground, k)
-            measure(tables.batch, batch, k, tables.rows.episode[0].error)
-            advance_rows(tables.batch, batch, ground, tables.rows, rows, k, begins)
-            over = rows.terminated[k] or rows.truncated[k]
-            if pilots is not None:
-                _count_certificates(tables, state, pilots, ground, k, over)
-            if tick == ticks - 1 or over:
-                observe_rows(tables.batch, batch, tables.rows, rows, k)
-                if pilots is not None:
-                    _complete_rows(tables, state, pilots, k)
-            if over:
+            if _evaluate(tables, state, pilots, ground, k, begins, tick == ticks - 1):
                 break
+
+
+@released
+def begin_ticks(
+    tables: LoopTables,
+    state: LoopState,
+    pilots: Pilots | None,
+    ground: GroundState | None,
+    worlds: IntArray,
+    actions: FloatArray,
+    begin: int,
+    end: int,
+) -> None:
+    """Begin a tick of worlds whose bodies Python advances: command the vehicles and move the references.
+
+    Arguments as in `run_worlds`; all worlds have started.
+    """
+    for n in range(begin, end):
+        k = worlds[n]
+        _command(tables, state, pilots, ground, k, actions[k])
+        begin_world_tick(tables.batch, state.batch, ground, k, True)
+
+
+@released
+def end_ticks(
+    tables: LoopTables,
+    state: LoopState,
+    pilots: Pilots | None,
+    ground: GroundState | None,
+    worlds: IntArray,
+    last: bool,
+    begin: int,
+    end: int,
+) -> None:
+    """End the ticks that `begin_ticks` began, or begin the episodes of worlds that have not started.
+
+    Args:
+        tables, state, pilots, ground, worlds, begin, end: As in `run_worlds`.
+        last: True if the observation rows are needed.
+    """
+    for n in range(begin, end):
+        k = worlds[n]
+        begins = state.started[k] == 0
+        if begins:
+            state.started[k] = 1
+            begin_world(tables.batch, state.batch, ground, k)
+        else:
+            end_world_tick(tables.batch, state.batch, ground, k)
+        _evaluate(tables, state, pilots, ground, k, begins, last)

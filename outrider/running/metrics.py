@@ -146,6 +146,9 @@ CERTIFICATE = _table(
            "without disturbance."),
     Metric("max_tracking_error", "declared tracking error", "m", 3,
            "Declared bound of `largest_tracking_error`."),
+    Metric("tracking_exceeded", "tracking error beyond its bound", "ticks", 0,
+           "Ticks in which a UAV was farther from its reference than `max_tracking_error`; none "
+           "without disturbance.", goal=0.0),
 )
 """Metrics of the safety filters of all UAVs."""
 

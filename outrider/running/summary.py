@@ -89,6 +89,7 @@ class Summary(UavMetrics, frozen=True, kw_only=True):
     longest_command_interval: float | None = None
     max_tracking_error: float | None = None
     largest_tracking_error: float | None = None
+    tracking_exceeded: int | None = None
     team: TeamStatus | None = None
     """Guarantee of the teams; None: there are none."""
     mission: MissionResult | None = None
@@ -175,6 +176,7 @@ def certificate_fields(status: CertificateStatus | None) -> dict[str, Any]:
         "max_command_interval": status.max_command_interval,
         "longest_command_interval": status.longest_command_interval,
         "max_tracking_error": status.max_tracking_error,
+        "tracking_exceeded": status.tracking_exceeded,
     }
 
 

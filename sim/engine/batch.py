@@ -4,7 +4,7 @@ Control laws are not included. World k with a seed is, bit for bit, the `World` 
 commands: a single world is a batch of one.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from sim.channel.description import check_link
 from sim.compiling.compile import IntArray, released
 from sim.compiling.records import fill
 from sim.compiling.threads import WorkerThreads
+from sim.engine.bodies import bodies_of
 from sim.engine.briefing import ugv_carries, ugv_delay
 from sim.engine.ground_state import CONSTANTS, GroundState, ground_of, strides_of
 from sim.engine.run_keys import check_seed, derive_keys, keys_of_places
@@ -31,7 +32,7 @@ from sim.engine.world_state import (
     first_vehicles,
     world_parameters,
 )
-from sim.engine.world_tick import begin_world, world_tick
+from sim.engine.world_tick import begin_world, begin_world_tick, end_world_tick, world_tick
 from sim.models.randomness import BUILDING_FIELDS, HAZARD_FIELDS, TEAM_LINK
 from sim.models.trajectories import no_trajectories
 from sim.scenario.building_tables import run_buildings
@@ -63,6 +64,35 @@ def _run_worlds(
             begin_world(tables, state, ground, worlds[n])
         else:
             world_tick(tables, state, ground, worlds[n], linked)
+
+
+@released
+def _begin_ticks(
+    tables: BatchTables,
+    state: BatchState,
+    ground: GroundState | None,
+    worlds: IntArray,
+    linked: bool,
+    begin: int,
+    end: int,
+) -> None:
+    """Move the references of worlds whose bodies Python advances."""
+    for n in range(begin, end):
+        begin_world_tick(tables, state, ground, worlds[n], linked)
+
+
+@released
+def _end_ticks(
+    tables: BatchTables,
+    state: BatchState,
+    ground: GroundState | None,
+    worlds: IntArray,
+    begin: int,
+    end: int,
+) -> None:
+    """Complete the ticks that `_begin_ticks` began."""
+    for n in range(begin, end):
+        end_world_tick(tables, state, ground, worlds[n])
 
 
 def arrays_of(state: object) -> list[npt.NDArray[Any]]:
@@ -131,6 +161,8 @@ class Batch:
         """State of the ground; None: no hazards."""
         buildings = buildings_of(scenario, self.ground)
         self.tables = batch_tables(scenario, self.parameters, self.links.traces, rows)
+        self.bodies = bodies_of(scenario, worlds, secret)
+        """Bodies outside the compiled tick; None: there are none."""
         vehicles = first_vehicles(scenario)
         self.state = BatchState(
             ticks=np.zeros(worlds, dtype=np.int64),
@@ -203,6 +235,8 @@ class Batch:
             words = keys_of_places(given, places, self._secret)
             self.links.records["key"][which, others:] = words
         self._draw_ground(which)
+        if self.bodies is not None:
+            self.bodies.begin(self.state, which, given)
         return which
 
     def _draw_ground(self, worlds: IntArray) -> None:
@@ -242,14 +276,25 @@ class Batch:
         Args:
             linked: True if commands cross their links.
         """
-        self._run(self._all, linked=linked)
+        if self.bodies is None:
+            self._run(self._all, linked=linked)
+            return
+        arrays = self.tables, self.state, self.ground, self._all
+        self._share(_begin_ticks, *arrays, linked)
+        self.bodies.step(self.state, self._all)
+        self._share(_end_ticks, *arrays)
 
     def _run(self, worlds: IntArray, *, beginning: bool = False, linked: bool = True) -> None:
-        given = self.tables, self.state, self.ground, worlds, beginning, linked
+        arrays = self.tables, self.state, self.ground, worlds
+        self._share(_run_worlds, *arrays, beginning, linked)
+
+    def _share(self, task: Callable[..., None], *given: Any) -> None:  # noqa: ANN401 - arrays and flags
+        """Call a compiled loop over worlds, the fourth argument, in as many threads as are useful."""
+        count = len(given[3])
         if self._shared:
-            self.workers.share(_run_worlds, len(worlds), *given)
+            self.workers.share(task, count, *given)
         else:
-            _run_worlds(*given, 0, len(worlds))
+            task(*given, 0, count)
 
     def change_links(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> None:
         """Change the settings of links in all worlds, between two ticks; packets in transit keep their arrival time.

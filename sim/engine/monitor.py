@@ -53,6 +53,8 @@ class CertificateCounters:
     """
     broken: int
     """Ticks not certified although the previous tick was and all bounds held."""
+    tracking_exceeded: int
+    """Ticks in which the tracking error exceeded its bound."""
 
 
 class ArrivalRecord:
@@ -115,7 +117,8 @@ def reset_counters(counts: CertificateCounters) -> None:
         counts.broken,
         counts.revoked,
         counts.lost_without_clearance,
-    ) = 0, 0, 0, 0, 0, 0, 0
+        counts.tracking_exceeded,
+    ) = 0, 0, 0, 0, 0, 0, 0, 0
     reset_filter(counts)
 
 
@@ -232,6 +235,8 @@ def record_tracking_error(bounds: RecordArray, counts: RecordArray, uav: int, of
     """
     kept = off <= bounds[uav].max_tracking_error + _ROUNDING
     counts[uav].tracking_kept = counts[uav].tracking_kept and kept
+    if not kept:
+        counts[uav].tracking_exceeded += 1
 
 
 @compiled

@@ -9,6 +9,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from bus.registry import BODIES
 from bus.ticks import MOST_TICKS
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import Pair, RecordArray, record_type, records
@@ -82,7 +83,8 @@ def world_parameters(scenario: Scenario, *, gains: bool = False) -> WorldParamet
 class Vehicle:
     """Limits, state and commands of one vehicle in one world; metres, seconds, ticks.
 
-    The reference state follows the commands by eq. (1). Wind and position errors displace the true state of a UAV.
+    The reference state follows the commands by eq. (1). Wind, position errors and its body displace the true state of a
+    UAV.
     """
 
     max_speed: float
@@ -231,6 +233,7 @@ def disturbances_of(scenario: Scenario) -> RecordArray:
             limit=wind.largest,
             position_error=uav.position_error,
             own_kept=math.exp(-dt / uav.position_error_time),
+            outside=bool(BODIES[uav.body].make),
         )
         for uav in uavs
     ]

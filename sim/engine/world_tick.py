@@ -249,8 +249,10 @@ def _perceive(
 
 
 @inlined
-def move(tables: BatchTables, state: BatchState, ground: GroundState | None, world: int) -> None:
-    """Advance to the next tick: vehicles move (1), and UAVs observe the ground (3) and their UGVs."""
+def move_references(
+    tables: BatchTables, state: BatchState, ground: GroundState | None, world: int
+) -> None:
+    """Advance the reference states to the next tick, (1)."""
     numbers = tables.world[row_of(tables.world.shape[0], world)]
     state.ticks[world] += 1
     if ground is not None:
@@ -260,18 +262,32 @@ def move(tables: BatchTables, state: BatchState, ground: GroundState | None, wor
     climb_all(numbers, state, tables.cameras, tables.escorts, world)
     if ground is not None:
         drive_on(numbers, ground, state, world)
+
+
+@inlined
+def observe(tables: BatchTables, state: BatchState, ground: GroundState | None, world: int) -> None:
+    """Apply the tracking errors; UAVs observe the ground (3) and their UGVs."""
+    numbers = tables.world[row_of(tables.world.shape[0], world)]
     for v in range(state.vehicles.shape[1]):
         _reset_to_reference(state.vehicles[world, v])
     row = row_of(tables.disturbances.shape[0], world)
     for u in range(tables.disturbances.shape[1]):
         disturbed = state.vehicles[world, tables.escorts[u, 0]]
-        step_error(tables.disturbances[row, u].loop, disturbed.disturbance, numbers.dt)
+        if not tables.disturbances[row, u].outside:
+            step_error(tables.disturbances[row, u].loop, disturbed.disturbance, numbers.dt)
         apply_disturbance(disturbed)
     for u in range(tables.escorts.shape[0]):
         rows, vehicles = Rows(world, u, tables.escorts[u, 0]), state.vehicles[world]
         uav, ugv = vehicles[rows.vehicle], vehicles[tables.escorts[u, 1]]
         update_coverage(numbers, state, tables.cameras, rows, uav, ugv)
     _perceive(tables, state, ground, world)
+
+
+@inlined
+def move(tables: BatchTables, state: BatchState, ground: GroundState | None, world: int) -> None:
+    """Advance to the next tick: vehicles move (1), and UAVs observe the ground (3) and their UGVs."""
+    move_references(tables, state, ground, world)
+    observe(tables, state, ground, world)
 
 
 @compiled
@@ -300,6 +316,29 @@ def begin_world(
 ) -> None:
     """Make the first observations of a world that was reset."""
     _perceive(tables, state, ground, world)
+    deliver_detections(tables, state, world)
+
+
+@inlined
+def begin_world_tick(
+    tables: BatchTables, state: BatchState, ground: GroundState | None, world: int, linked: bool
+) -> None:
+    """Begin a tick whose bodies Python advances: execute the commands, and move the references.
+
+    Arguments as in `world_tick`.
+    """
+    if linked:
+        receive_commands(tables, state, world)
+    draw_disturbances(tables, state, world)
+    move_references(tables, state, ground, world)
+
+
+@inlined
+def end_world_tick(
+    tables: BatchTables, state: BatchState, ground: GroundState | None, world: int
+) -> None:
+    """End a tick that `begin_world_tick` began, after the bodies have set the tracking errors."""
+    observe(tables, state, ground, world)
     deliver_detections(tables, state, world)
 
 

@@ -38,6 +38,8 @@ RANGES = 11
 """Purpose of an episode's randomized fields, in place of a purpose and with a field's number in place of a vehicle."""
 TEAM_LINK = 12
 """Purpose of the links between UAVs of a team; no other part of a run needs these keys."""
+BODY = 13
+"""Purpose of the UAVs' bodies outside the compiled tick."""
 
 # Purposes that share a key: of a pilot, of a link, of wind and position error, of the hazards, or of the buildings.
 # Numbers must never change.

@@ -32,6 +32,8 @@ class DisturbanceParameters(NamedTuple):
     """Largest position error [m]."""
     own_kept: float
     """Share of it that remains after a tick."""
+    outside: bool
+    """True if a body outside the compiled tick sets the tracking error, see `sim.engine.bodies`."""
 
 
 @compiled

@@ -8,6 +8,7 @@ from bus.errors import ScenarioError
 from bus.numbers import exact
 from bus.policies import Vehicle, is_policy_file, policy_forms
 from bus.registry import (
+    BODIES,
     DRIVERS,
     LAWS,
     SENSORS,
@@ -75,11 +76,13 @@ _ENTRIES = {
 
 
 def names_are_known(scenario: Scenario) -> Iterator[Fault]:
-    """Check that laws, sensor and drivers are registered."""
+    """Check that laws, sensor, drivers and bodies are registered."""
     yield from laws_are_known(scenario)
     yield from unknown_name("sensor.model", scenario.sensor.model, SENSORS)
     for k, ugv in enumerate(scenario.ugv):
         yield from unknown_name(f"ugv.{k}.driver", ugv.driver, DRIVERS)
+    for k, uav in enumerate(scenario.uav):
+        yield from unknown_name(f"uav.{k}.body", uav.body, BODIES)
 
 
 def _names_a_function(text: str) -> bool:
@@ -243,6 +246,7 @@ def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
             hazard_warnings,
             building_warnings,
             watch_warnings,
+            _body_warnings,
         )
         for line in warnings(scenario)
     )
@@ -267,6 +271,17 @@ def _code_warnings(scenario: Scenario) -> Iterator[str]:
             ]
             users += [f"ugv.*.driver = {row.name}" for row in DRIVERS.values() if field == row.own]
             yield f"custom.{field} = {value!r}: not used; requires {' or '.join(users)}"
+
+
+def _body_warnings(scenario: Scenario) -> Iterator[str]:
+    """Warn of a body whose tracking error has no declared bound."""
+    for k, uav in enumerate(scenario.uav):
+        declared = scenario.certificate.max_tracking_error is not None
+        if BODIES[uav.body].make and scenario.filters(uav) and not declared:
+            yield (
+                f"uav.{k}.body = {uav.body!r}: its tracking error is unknown, so that sight is never certified; "
+                "measure it, and declare certificate.max_tracking_error"
+            )
 
 
 def _task_warnings(scenario: Scenario) -> Iterator[str]:

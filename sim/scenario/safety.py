@@ -1,8 +1,11 @@
 """Bounds that a scenario declares to the UAVs' safety filters, or that follow from its noise, wind and links."""
 
+import math
+
 from bus.messages.base import or_none
 from bus.messages.links import LinkKind
 from bus.messages.scenario import SafetyParameters
+from bus.registry import BODIES
 from sim.channel.description import longest_delay
 from sim.models.camera import noise_at
 from sim.models.inner_loop import tracking_error
@@ -37,7 +40,9 @@ def largest_error(scenario: Scenario, uav: Uav) -> float:
 
 
 def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
-    """Return the largest distance of a UAV from its reference position, w [m]; infinite if unbounded."""
+    """Return the largest distance of a UAV from its reference position, w [m]; infinite if unbounded or unknown."""
+    if BODIES[uav.body].make:
+        return math.inf  # only a measurement tells
     return tracking_error(uav.tracking, scenario.wind.largest, uav.position_error, scenario.dt)
 
 

@@ -25,7 +25,7 @@ from bus.messages.scenario import (
     Sensor,
 )
 from bus.messages.team import Team
-from bus.registry import CAUTIONS, DEFAULT_DRIVER, HAZARDS, LAWS
+from bus.registry import BODIES, CAUTIONS, DEFAULT_BODY, DEFAULT_DRIVER, HAZARDS, LAWS
 from sim.channel.recorded import RecordedLink
 from sim.models.inner_loop import InnerLoop
 from sim.models.vehicles import raw_switching_radius
@@ -126,8 +126,10 @@ class Uav(Table, frozen=True, kw_only=True):
     """Largest error of its position measurement [m]; it drifts, and the inner loop cannot observe it."""
     position_error_time: Positive = 30.0
     """Time constant of this error [s]."""
+    body: Name = DEFAULT_BODY
+    """Model of its true motion, a row of `bus.registry.BODIES`: `point`, or one of an extension such as `quadrotor`."""
     tracking: InnerLoop = InnerLoop()
-    """Inner loop, which tracks the reference state against wind and position errors."""
+    """Inner loop of the body `point`, which tracks the reference state against wind and position errors."""
     law: OwnLaw | None = None
     """Control law of this UAV; default: the scenario's."""
     search: bool = True
@@ -213,7 +215,7 @@ class Certificate(Table, frozen=True, kw_only=True):
     """
     max_tracking_error: NonNegative | None = None
     """Largest tracking error [m]; default: the bound that follows from wind, position_error and tracking, 0 without a
-    disturbance.
+    disturbance. No bound follows for a body other than `point`; measure it and declare it.
     """
     max_building_height: Positive | None = None
     """Largest height of a building [m]; default: the highest possible one of the scenario."""
@@ -395,8 +397,11 @@ class Scenario(Table, frozen=True, kw_only=True):
 
     @property
     def disturbed(self) -> bool:
-        """True if wind or a position error disturbs a UAV."""
-        return any(self.wind.largest > 0.0 or uav.position_error > 0.0 for uav in self.uav)
+        """True if wind, a position error or its body displaces a UAV from its reference."""
+        return any(
+            self.wind.largest > 0.0 or uav.position_error > 0.0 or BODIES[uav.body].make
+            for uav in self.uav
+        )
 
     @property
     def detection_period(self) -> int:

@@ -10,6 +10,7 @@ import msgspec
 from bus.keys import STAFF
 from bus.messages.links import LinkKind
 from bus.numbers import above, at_least, at_most, enough_digits, exact
+from bus.registry import DEFAULT_BODY
 from sim.channel.description import least_ticks, link_faults, link_parameters
 from sim.input.faults import Fault, is_whole
 from sim.models.inner_loop import needed_reserve, tracking_error
@@ -267,7 +268,7 @@ def inner_loops_resist(scenario: Scenario) -> Iterator[Fault]:
     for k, uav in enumerate(scenario.uav):
         path, loop, wind = f"uav.{k}.tracking", uav.tracking, scenario.wind.largest
         k_p, k_d = loop.position_gain, loop.velocity_gain
-        if wind == 0.0 and uav.position_error == 0.0:
+        if uav.body != DEFAULT_BODY or (wind == 0.0 and uav.position_error == 0.0):
             continue
         unstable = f"the inner loop is unstable at dt = {exact(scenario.dt)} s"
         needed = needed_reserve(loop, wind, uav.position_error, scenario.dt)

@@ -179,4 +179,5 @@ class Assurance:
             if self._disturbed and math.isfinite(self._tracking)
             else None,
             largest_tracking_error=self.tracking_error if self._disturbed else None,
+            tracking_exceeded=self._sum("tracking_exceeded") if self._disturbed else None,
         )
