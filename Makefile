@@ -28,7 +28,7 @@ $(VENV)/.run: pyproject.toml
 
 $(VENV)/.dev: $(VENV)/.run
 	@echo 'installing the test dependencies into $(VENV), once'
-	@$(PIP) --editable '.[dev,window,record,drive,dashboard,sweep,dask,falsify,tls,ros2,networks,mavlink,fmi,geo]'
+	@$(PIP) --editable '.[dev,window,record,drive,dashboard,sweep,dask,falsify,tls,ros2,networks,mavlink,fmi,geo,quadrotor]'
 	@touch $@
 
 run: $(VENV)/.run ## run the escort scenario as three processes over Zenoh (ARGS="..." for options)

@@ -39,6 +39,7 @@ LIBRARIES |= {
     "ros2": "rosbags",
     "dashboard": "nicegui",
 }
+LIBRARIES |= {"quadrotor": "mujoco"}
 
 
 def needs(arguments: str) -> None:

@@ -22,15 +22,15 @@ from outrider.closed_loop.pilots import (
 )
 from outrider.closed_loop.random_worlds import DrawnWorlds, tables_of_worlds
 from outrider.closed_loop.teams import team_metrics
-from outrider.closed_loop.tick import begin_ticks, end_ticks, run_worlds
+from outrider.closed_loop.tick import run_worlds
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
 from sim.engine.batch import Batch, Fresh
-from sim.engine.bodies import Bodies
 from sim.engine.ground_state import set_driver
 from sim.engine.mission import mission_of
 from sim.engine.monitor import certificate_counters
 from sim.engine.run_keys import check_secret
+from sim.engine.world_tick import BEGIN, END, WHOLE
 from sim.env.actions import ACTION_COLUMNS
 from sim.env.randomization import Randomization
 from sim.env.rows import RowTables, row_state, row_tables
@@ -221,24 +221,21 @@ class ClosedLoop:
     def _run(self, worlds: IntArray, actions: FloatArray, ticks: int) -> None:
         which = np.ascontiguousarray(worlds, dtype=np.int64)
         given = np.ascontiguousarray(actions, dtype=np.float64)
-        loop = self.tables, self.state, self.pilots, self.batch.ground
-        if self.batch.bodies is not None:
-            self._run_with_bodies(self.batch.bodies, which, given, ticks)
+        if self.batch.bodies is None:
+            self._advance(which, given, ticks, WHOLE)
             return
-        self.batch.workers.share(run_worlds, len(worlds), *loop, which, given, ticks)
+        rows = self.state.rows
+        for _ in range(ticks):
+            self._advance(which, given, 1, BEGIN)
+            self.batch.bodies.step(self.state.batch, which[self.state.started[which] != 0])
+            self._advance(which, given, 1, END)
+            which = which[(rows.terminated[which] | rows.truncated[which]) == 0]
 
-    def _run_with_bodies(
-        self, bodies: Bodies, worlds: IntArray, actions: FloatArray, ticks: int
-    ) -> None:
-        """Advance worlds whose bodies Python advances within each tick."""
+    def _advance(self, worlds: IntArray, actions: FloatArray, ticks: int, part: int) -> None:
+        """Call `run_worlds` in as many threads as are useful."""
         loop = self.tables, self.state, self.pilots, self.batch.ground
-        share, rows = self.batch.workers.share, self.state.rows
-        for tick in range(ticks):
-            started = worlds[self.state.started[worlds] != 0]
-            share(begin_ticks, len(started), *loop, started, actions)
-            bodies.step(self.state.batch, started)
-            share(end_ticks, len(worlds), *loop, worlds, tick == ticks - 1)
-            worlds = worlds[(rows.terminated[worlds] | rows.truncated[worlds]) == 0]
+        given = worlds, actions, ticks, part
+        self.batch.workers.share(run_worlds, len(worlds), *loop, *given)
 
     def metrics(self, uav: str) -> dict[str, FloatArray]:
         """Return the true metrics of a UAV's episode so far, in each world; arrays of shape (worlds,).

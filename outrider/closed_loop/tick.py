@@ -39,13 +39,7 @@ from sim.engine.monitor import (
     reset_filter,
 )
 from sim.engine.world_state import Vehicle, WorldParameters
-from sim.engine.world_tick import (
-    begin_world,
-    begin_world_tick,
-    end_world_tick,
-    measure,
-    world_tick,
-)
+from sim.engine.world_tick import BEGIN, END, begin_world, begin_world_tick, end_world_tick, measure
 from sim.env.rows import advance_rows, observe_rows
 from sim.models.field import coverage_gradient, sample
 from sim.models.safety import SafetyBounds
@@ -285,6 +279,7 @@ def run_worlds(
     worlds: IntArray,
     actions: FloatArray,
     ticks: int,
+    part: int,
     begin: int,
     end: int,
 ) -> None:
@@ -297,7 +292,8 @@ def run_worlds(
         tables, state, pilots, ground: Arrays of all worlds; they are changed.
         worlds: Worlds to advance.
         actions: External actions of all worlds. Shape (worlds, external vehicles, ACTION_COLUMNS).
-        ticks: Number of ticks.
+        ticks: Number of ticks; 1 for a part of a tick.
+        part: `sim.engine.world_tick.WHOLE`, or a part: BEGIN does nothing before the episode begins.
         begin, end: Rows of `worlds` that this thread advances.
     """
     batch = state.batch
@@ -305,60 +301,15 @@ def run_worlds(
         k = worlds[n]
         for tick in range(ticks):
             begins = state.started[k] == 0
+            if part != END and not begins:
+                _command(tables, state, pilots, ground, k, actions[k])
+                begin_world_tick(tables.batch, batch, ground, k, True)
+            if part == BEGIN:
+                continue
             if begins:
                 state.started[k] = 1
                 begin_world(tables.batch, batch, ground, k)
             else:
-                _command(tables, state, pilots, ground, k, actions[k])
-                world_tick(tables.batch, batch, ground, k, True)
+                end_world_tick(tables.batch, batch, ground, k)
             if _evaluate(tables, state, pilots, ground, k, begins, tick == ticks - 1):
                 break
-
-
-@released
-def begin_ticks(
-    tables: LoopTables,
-    state: LoopState,
-    pilots: Pilots | None,
-    ground: GroundState | None,
-    worlds: IntArray,
-    actions: FloatArray,
-    begin: int,
-    end: int,
-) -> None:
-    """Begin a tick of worlds whose bodies Python advances: command the vehicles and move the references.
-
-    Arguments as in `run_worlds`; all worlds have started.
-    """
-    for n in range(begin, end):
-        k = worlds[n]
-        _command(tables, state, pilots, ground, k, actions[k])
-        begin_world_tick(tables.batch, state.batch, ground, k, True)
-
-
-@released
-def end_ticks(
-    tables: LoopTables,
-    state: LoopState,
-    pilots: Pilots | None,
-    ground: GroundState | None,
-    worlds: IntArray,
-    last: bool,
-    begin: int,
-    end: int,
-) -> None:
-    """End the ticks that `begin_ticks` began, or begin the episodes of worlds that have not started.
-
-    Args:
-        tables, state, pilots, ground, worlds, begin, end: As in `run_worlds`.
-        last: True if the observation rows are needed.
-    """
-    for n in range(begin, end):
-        k = worlds[n]
-        begins = state.started[k] == 0
-        if begins:
-            state.started[k] = 1
-            begin_world(tables.batch, state.batch, ground, k)
-        else:
-            end_world_tick(tables.batch, state.batch, ground, k)
-        _evaluate(tables, state, pilots, ground, k, begins, last)

@@ -4,7 +4,7 @@ Control laws are not included. World k with a seed is, bit for bit, the `World` 
 commands: a single world is a batch of one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from sim.engine.world_state import (
     first_vehicles,
     world_parameters,
 )
-from sim.engine.world_tick import begin_world, begin_world_tick, end_world_tick, world_tick
+from sim.engine.world_tick import BEGIN, END, WHOLE, begin_world, begin_world_tick, end_world_tick
 from sim.models.randomness import BUILDING_FIELDS, HAZARD_FIELDS, TEAM_LINK
 from sim.models.trajectories import no_trajectories
 from sim.scenario.building_tables import run_buildings
@@ -46,6 +46,9 @@ from sim.scenario.ground_tables import (
 from sim.scenario.safety import safety_parameters
 from sim.scenario.types import Scenario
 
+_START = 3
+"""Start of a run, in place of a part of a tick."""
+
 
 @released
 def _run_worlds(
@@ -53,46 +56,20 @@ def _run_worlds(
     state: BatchState,
     ground: GroundState | None,
     worlds: IntArray,
-    beginning: bool,
+    part: int,
     linked: bool,
     begin: int,
     end: int,
 ) -> None:
-    """Start worlds, or advance them by one tick."""
+    """Start worlds, or advance them by one tick or a part of it."""
     for n in range(begin, end):
-        if beginning:
+        if part == _START:
             begin_world(tables, state, ground, worlds[n])
-        else:
-            world_tick(tables, state, ground, worlds[n], linked)
-
-
-@released
-def _begin_ticks(
-    tables: BatchTables,
-    state: BatchState,
-    ground: GroundState | None,
-    worlds: IntArray,
-    linked: bool,
-    begin: int,
-    end: int,
-) -> None:
-    """Move the references of worlds whose bodies Python advances."""
-    for n in range(begin, end):
-        begin_world_tick(tables, state, ground, worlds[n], linked)
-
-
-@released
-def _end_ticks(
-    tables: BatchTables,
-    state: BatchState,
-    ground: GroundState | None,
-    worlds: IntArray,
-    begin: int,
-    end: int,
-) -> None:
-    """Complete the ticks that `_begin_ticks` began."""
-    for n in range(begin, end):
-        end_world_tick(tables, state, ground, worlds[n])
+            continue
+        if part != END:
+            begin_world_tick(tables, state, ground, worlds[n], linked)
+        if part != BEGIN:
+            end_world_tick(tables, state, ground, worlds[n])
 
 
 def arrays_of(state: object) -> list[npt.NDArray[Any]]:
@@ -202,7 +179,7 @@ class Batch:
             worlds: Indices of the worlds; all by default.
         """
         which = self.restore(seeds, worlds)
-        self._run(which, beginning=True)
+        self._run(which, _START)
 
     def restore(
         self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None
@@ -277,24 +254,18 @@ class Batch:
             linked: True if commands cross their links.
         """
         if self.bodies is None:
-            self._run(self._all, linked=linked)
+            self._run(self._all, WHOLE, linked=linked)
             return
-        arrays = self.tables, self.state, self.ground, self._all
-        self._share(_begin_ticks, *arrays, linked)
+        self._run(self._all, BEGIN, linked=linked)
         self.bodies.step(self.state, self._all)
-        self._share(_end_ticks, *arrays)
+        self._run(self._all, END, linked=linked)
 
-    def _run(self, worlds: IntArray, *, beginning: bool = False, linked: bool = True) -> None:
-        arrays = self.tables, self.state, self.ground, worlds
-        self._share(_run_worlds, *arrays, beginning, linked)
-
-    def _share(self, task: Callable[..., None], *given: Any) -> None:  # noqa: ANN401 - arrays and flags
-        """Call a compiled loop over worlds, the fourth argument, in as many threads as are useful."""
-        count = len(given[3])
+    def _run(self, worlds: IntArray, part: int, *, linked: bool = True) -> None:
+        given = self.tables, self.state, self.ground, worlds, part, linked
         if self._shared:
-            self.workers.share(task, count, *given)
+            self.workers.share(_run_worlds, len(worlds), *given)
         else:
-            task(*given, 0, count)
+            _run_worlds(*given, 0, len(worlds))
 
     def change_links(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> None:
         """Change the settings of links in all worlds, between two ticks; packets in transit keep their arrival time.

@@ -27,6 +27,9 @@ from sim.models.trajectories import NO_TRAJECTORY, follow_on, trajectory_command
 from sim.models.vehicles import brake, norm, step_vehicle, within_walls
 from sim.models.wind import draw_disturbance
 
+WHOLE, BEGIN, END = range(3)
+"""Parts of a tick: both at once, or each of `begin_world_tick` and `end_world_tick` around Python's bodies."""
+
 
 @compiled
 def _step(numbers: WorldParameters, vehicle: Vehicle, max_speed: float) -> None:
@@ -323,30 +326,7 @@ def begin_world(
 def begin_world_tick(
     tables: BatchTables, state: BatchState, ground: GroundState | None, world: int, linked: bool
 ) -> None:
-    """Begin a tick whose bodies Python advances: execute the commands, and move the references.
-
-    Arguments as in `world_tick`.
-    """
-    if linked:
-        receive_commands(tables, state, world)
-    draw_disturbances(tables, state, world)
-    move_references(tables, state, ground, world)
-
-
-@inlined
-def end_world_tick(
-    tables: BatchTables, state: BatchState, ground: GroundState | None, world: int
-) -> None:
-    """End a tick that `begin_world_tick` began, after the bodies have set the tracking errors."""
-    observe(tables, state, ground, world)
-    deliver_detections(tables, state, world)
-
-
-@inlined
-def world_tick(
-    tables: BatchTables, state: BatchState, ground: GroundState | None, world: int, linked: bool
-) -> None:
-    """Advance a world by one tick.
+    """Begin the next tick of a world: execute the commands, and move the references.
 
     Args:
         tables: Constants of all worlds.
@@ -358,5 +338,13 @@ def world_tick(
     if linked:
         receive_commands(tables, state, world)
     draw_disturbances(tables, state, world)
-    move(tables, state, ground, world)
+    move_references(tables, state, ground, world)
+
+
+@inlined
+def end_world_tick(
+    tables: BatchTables, state: BatchState, ground: GroundState | None, world: int
+) -> None:
+    """End the tick: bodies outside it have set their tracking errors; the vehicles observe. Arguments as above."""
+    observe(tables, state, ground, world)
     deliver_detections(tables, state, world)
