@@ -108,55 +108,66 @@ def table(seeds: int) -> Iterator[str]:
             )
 
 
-def _track(seed: int, search: bool) -> tuple[Scenario, FloatArray, BoolArray]:
-    """Fly the pictured flight; return the positions of UAV and UGV, shape (ticks, 2, 2), and when sight is lost."""
-    changes = [
-        "ugv.0.driver=evade",
-        "duration=300",
-        PICTURED,
-        f"uav.0.search={str(search).lower()}",
-    ]
-    scenario = load_scenario("escort", overrides=changes)
-    loop = ClosedLoop(scenario, 1, end_on_sight_lost=False)
-    loop.begin([seed])
-    places = []
-    for _ in range(scenario.ticks):
-        places.append(loop.state.batch.vehicles["position"][0].copy())
-        loop.fly(1)
-    loop.close()
-    found = np.array(places)
-    away = np.linalg.norm(found[:, 0] - found[:, 1], axis=-1)
-    return scenario, found, away >= scenario.visibility.radius
+class Track(NamedTuple):
+    """Pictured flight."""
+
+    title: str
+    scenario: Scenario
+    places: FloatArray
+    """Positions of UAV and UGV at each tick [m]. Shape (ticks, 2, 2)."""
+    lost: BoolArray
+    """True out of sight. Shape (ticks,)."""
 
 
-def _draw(axes: Axes, seed: int, search: bool) -> None:
-    scenario, places, lost = _track(seed, search)
+def tracks(seed: int) -> Iterator[Track]:
+    """Fly against `evade` with a blackout of 45 s, waiting and searching."""
+    for search in (False, True):
+        changes = [
+            "ugv.0.driver=evade",
+            "duration=300",
+            PICTURED,
+            f"uav.0.search={str(search).lower()}",
+        ]
+        scenario = load_scenario("escort", overrides=changes)
+        loop = ClosedLoop(scenario, 1, end_on_sight_lost=False)
+        loop.begin([seed])
+        places = []
+        for _ in range(scenario.ticks):
+            places.append(loop.state.batch.vehicles["position"][0].copy())
+            loop.fly(1)
+        loop.close()
+        found = np.array(places)
+        away = np.linalg.norm(found[:, 0] - found[:, 1], axis=-1)
+        lost = away >= scenario.visibility.radius
+        yield Track("search" if search else "wait", scenario, found, lost)
+
+
+def _draw_track(axes: Axes, track: Track) -> None:
+    places, radius, area = track.places, track.scenario.visibility.radius, track.scenario.area
     for k, color, name in ((0, UAV[0], "UAV"), (1, UGV[0], "UGV")):
         axes.plot(*places[:, k].T, color=color, lw=1.2, label=name)
         axes.plot(*places[-1, k], "o", color=color, ms=5)
-    hidden = np.where(lost[:, None], places[:, 1], np.nan)
+    hidden = np.where(track.lost[:, None], places[:, 1], np.nan)
     axes.plot(*hidden.T, color=LIMIT, lw=2.4, alpha=0.6, label="UGV out of sight")
-    radius = scenario.visibility.radius
     axes.add_patch(Circle(tuple(places[-1, 0]), radius, fill=False, color=UAV[0], lw=0.8, ls=":"))
     axes.set(
-        title="search" if search else "wait",
+        title=track.title,
         xlabel="x [m]",
         ylabel="y [m]",
-        xlim=(0.0, scenario.area.width),
-        ylim=(0.0, scenario.area.height),
+        xlim=(0.0, area.width),
+        ylim=(0.0, area.height),
         aspect="equal",
     )
 
 
-def picture(path: Path, seed: int) -> None:
-    """Draw one flight against `evade` with a blackout of 45 s, waiting and searching."""
+def draw(flights: Sequence[Track], path: Path) -> None:
+    """Draw flights side by side into a PNG file."""
     with plot_style():
         figure = new_figure(1100, 600)
-        for k, search in enumerate((False, True)):
-            axes = figure.add_subplot(1, 2, k + 1)
-            _draw(axes, seed, search)
-            if k:
-                axes.legend(loc="upper right")
+        for k, track in enumerate(flights):
+            axes = figure.add_subplot(1, len(flights), k + 1)
+            _draw_track(axes, track)
+        axes.legend(loc="upper right")
         save(figure, path)
 
 
@@ -175,7 +186,7 @@ def main() -> None:
         sys.stdout.write(f"{line}\n")
         sys.stdout.flush()
     if given.picture:
-        picture(given.picture, given.pictured_seed)
+        draw(list(tracks(given.pictured_seed)), given.picture)
 
 
 if __name__ == "__main__":

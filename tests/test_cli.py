@@ -304,6 +304,8 @@ def test_lists_are_printed_as_json(command):
     verdict = checked.pop("verdicts")["uav_0"]
     assert (verdict["certifiable"], verdict["changes"]) == ("always", [])
     assert verdict["r_cert"] < verdict["radius"] < 4.75
+    search = checked.pop("searches")["uav_0"]
+    assert 0.0 < search["near"] < search["area"]
     valid = {"scenario": "escort", "valid": True, "certifiable": "always", "warnings": []}
     assert checked == valid
 

@@ -4,6 +4,7 @@ import importlib
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("outrider_learning", reason="the pages show extensions, too")
@@ -78,6 +79,14 @@ def draw_altitudes(out: Path) -> None:
     worth.draw(rows, out)
 
 
+def draw_search(out: Path) -> None:
+    benchmark, scenario = importlib.import_module("reacquisition"), load_scenario("escort")
+    places, lost = np.ones((2, 2, 2)), np.array([False, True])
+    benchmark.draw(
+        [benchmark.Track(one, scenario, places, lost) for one in ("wait", "search")], out
+    )
+
+
 def draw_teams(out: Path) -> None:
     worth = importlib.import_module("team_worth")
     numbers = {"mean_error": 1.0, "unguarded": 0.0, "out_of_sight": 0, "found": 1}
@@ -146,6 +155,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "docs/explanation/altitude.png": draw_altitudes,
     "docs/explanation/peers.png": draw_peers,
     "docs/explanation/teams.png": draw_teams,
+    "docs/how-to/search.png": draw_search,
     "docs/explanation/robustness/commands-errors.png": draw_sweeps("errors", *COMMANDS),
     "docs/explanation/robustness/commands-violations.png": draw_sweeps("violations", *COMMANDS),
     "docs/explanation/robustness/violations.png": draw_sweeps("violations", "network"),
