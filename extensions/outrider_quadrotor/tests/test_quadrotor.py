@@ -168,7 +168,11 @@ def test_processes_fly_the_hash_of_one_process(command: Any, tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     options = ["escort", "--duration", "2", "--json", "--set", "uav.0.body=quadrotor"]
     options += ["--set", f"certificate.max_tracking_error={DECLARED}"]
-    found = [json.loads(command("run", *options, *more).stdout) for more in ((), ("--in-process",))]
+    found = []
+    for more in ((), ("--in-process",)):
+        done = command("run", *options, *more)
+        assert done.returncode == 0, done.stderr
+        found.append(json.loads(done.stdout))
     assert found[0]["trajectory_sha256"] == found[1]["trajectory_sha256"]
     assert found[0]["tracking_exceeded"] == 0 < found[0]["largest_tracking_error"] < DECLARED
 
