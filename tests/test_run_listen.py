@@ -91,7 +91,7 @@ def test_lockstep_wins_over_the_pace_of_an_operator(command) -> None:
     assert "outrider drive" in done.stderr
 
 
-def test_given_credentials_open_the_door(endpoint: str, tmp_path: Path, command) -> None:
+def test_given_credentials_are_those_of_the_run(endpoint: str, tmp_path: Path, command) -> None:
     assert command("credentials", str(tmp_path), "--run", "mine").returncode == 0
     arguments = words(f"run --listen {endpoint} --realtime 1 --no-files --duration 600")
     with started(*arguments, "--credentials", str(tmp_path / "router.json")) as run:

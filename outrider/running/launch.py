@@ -5,16 +5,14 @@ import functools
 import os
 import queue
 import secrets
-import shlex
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import msgspec
 
-from bus.credentials import CredentialSet, new_credentials, write_credential
+from bus.credentials import new_credentials, write_credential
 from bus.errors import PeerLost
 from bus.keys import OBSERVER_NAME, OPERATOR_NAME, SIMULATOR_NAME
 from bus.locator import UNIX, reachable
@@ -22,6 +20,7 @@ from bus.registry import DRIVERS
 from outrider.running.child import Child
 from outrider.running.companions import Beside, Companions
 from outrider.running.exit_reports import Report
+from outrider.running.listening import PRIVATE, Listening
 from outrider.running.parent import Output, Start
 from outrider.running.run_folder import run_folder
 from outrider.running.summary import Process, Summary
@@ -65,19 +64,6 @@ class Outcome(msgspec.Struct, kw_only=True):
     """True if the user's input cannot be flown."""
 
 
-class Door(NamedTuple):
-    """Endpoints at which parties that the user starts join a run, besides its private socket."""
-
-    endpoints: tuple[str, ...] = ()
-    given: CredentialSet | None = None
-    """Credentials of all parties; None: new ones for this run."""
-    folder: Path | None = None
-    """Folder with the files of `given`."""
-
-
-_CLOSED = Door()
-
-
 class Watcher(msgspec.Struct, frozen=True, kw_only=True):
     """Callbacks that follow a run and may end it."""
 
@@ -99,7 +85,7 @@ def launch(
     output: Output,
     *,
     secret: str = "",
-    door: Door = _CLOSED,
+    listening: Listening = PRIVATE,
 ) -> Outcome:
     """Fly a scenario with one process for the simulator and one for each vehicle, over Zenoh on a private socket.
 
@@ -111,14 +97,14 @@ def launch(
         watcher: Callbacks that follow the run.
         output: Files to write.
         secret: Secret of the run, passed to the simulator's process only; empty: none.
-        door: Further endpoints of the router, and the credentials that it accepts.
+        listening: Further endpoints of the router, and the credentials that it accepts.
 
     Returns:
         The summary, if any tick was flown, and the failure that ended the run early.
     """
     with run_folder() as folder, _ended_afterwards() as beside, _ended_afterwards() as children:
         logs = Path(output.folder, "logs") if output.folder else None
-        processes = _Processes(scenario, folder, door, children, watcher, logs)
+        processes = _Processes(scenario, folder, listening, children, watcher, logs)
         processes.start_simulator(output, secret)
         unready = processes.start_companions(beside)
         if unready is not None:
@@ -153,7 +139,7 @@ class _Processes:
     Args:
         scenario: Scenario to fly.
         folder: Private folder of the run.
-        door: Endpoints for parties that the user starts.
+        listening: Endpoints for parties that the user starts.
         children: List that receives the processes; the caller ends all of them.
         watcher: Callbacks that receive the processes' warnings.
         logs: Folder for each process's standard error; None: not kept.
@@ -163,7 +149,7 @@ class _Processes:
         self,
         scenario: Scenario,
         folder: Path,
-        door: Door,
+        listening: Listening,
         children: list[Child],
         watcher: Watcher,
         logs: Path | None,
@@ -173,13 +159,13 @@ class _Processes:
         self._logs = logs
         self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         """Reports of the simulator, one line each."""
-        self._scenario, self._folder, self._door = scenario, folder, door
+        self._scenario, self._folder, self._listening = scenario, folder, listening
         self._endpoint = f"{UNIX}/{folder / 'bus.sock'}"
         self._uavs = [uav.name for uav in scenario.uav]
         self.companions = Companions(watcher.on_event)
         ugvs = [ugv.name for ugv in scenario.ugv]
         own = [vehicle.name for vehicle in scenario.vehicles if _is_outside(vehicle)]
-        self._credentials = door.given or new_credentials(
+        self._credentials = listening.given or new_credentials(
             f"run-{os.getpid()}-{secrets.token_hex(4)}", self._uavs, ugvs
         )
         self._run = self._credentials.run
@@ -204,15 +190,12 @@ class _Processes:
 
     def _joining_as(self, name: str, endpoint: str = "") -> str:
         """Return the options of a party that the user starts."""
-        file = self._files[name]
-        if self._door.folder is not None and (self._door.folder / file.name).exists():
-            file = self._door.folder / file.name
-        words = ["--connect", endpoint or self._endpoint, "--run", self._run]
-        return shlex.join([*words, "--credentials", str(file)])
+        where = endpoint or self._endpoint
+        return self._listening.joining(where, self._run, self._files[name])
 
     def tell_how_to_join(self) -> None:
         """Report how operators and observers join the run, and which command drives a UGV."""
-        for endpoint in self._door.endpoints:
+        for endpoint in self._listening.endpoints:
             there = reachable(endpoint)
             line = f"listening on {endpoint}; operators join with {self._joining_as(OPERATOR_NAME, there)}"
             observer = self._joining_as(OBSERVER_NAME, there).rpartition(" ")[2]
@@ -229,7 +212,7 @@ class _Processes:
         file = self._folder / "scenario.toml"
         file.write_text(as_toml(self._scenario), encoding="utf-8")
         arguments = ["simulator", str(file), "--run", self._run]
-        for endpoint in (self._endpoint, *self._door.endpoints):
+        for endpoint in (self._endpoint, *self._listening.endpoints):
             arguments += ["--listen", endpoint]
         start = Start(
             credentials=self._credentials, secret=secret, folder=str(self._folder), output=output
@@ -297,7 +280,7 @@ class _Processes:
         for vehicle in self._scenario.vehicles:
             if _is_outside(vehicle):
                 known = self._joining_as(
-                    vehicle.name, next(map(reachable, self._door.endpoints), "")
+                    vehicle.name, next(map(reachable, self._listening.endpoints), "")
                 )
                 self._watcher.on_event(
                     f"start {vehicle.name} yourself with {known} --name {vehicle.name}"

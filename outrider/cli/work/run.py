@@ -16,7 +16,8 @@ from outrider.cli.run_secret import secret_of
 from outrider.cli.stopping import Stop, stop_on_signals
 from outrider.cli.summary_table import print_summary
 from outrider.running.companions import Beside, pace_with, parse_companion
-from outrider.running.launch import Door, Outcome, Watcher, launch
+from outrider.running.launch import Outcome, Watcher, launch
+from outrider.running.listening import Listening
 from outrider.running.own_functions import check_own_functions
 from outrider.running.parent import Output
 from outrider.running.resolve import resolve
@@ -56,7 +57,7 @@ def run(wanted: RunOptions) -> None:
         bool(asked or wanted.respawn or wanted.companions or wanted.listen),
         has_external,
     )
-    door = _door(flown, wanted)
+    listening = _listening(flown, wanted)
     run_secret = secret_of(wanted.secret, wanted=has_external)
     check_code(flown, named, source=wanted.scenario, allowed=wanted.allow_code)
     print_warnings((*scenario_warnings(flown), *check_own_functions(flown)))
@@ -71,7 +72,7 @@ def run(wanted: RunOptions) -> None:
 
             outcome = fly_here(flown, run_secret, output, stop)
         else:
-            outcome = _fly_apart(flown, run_secret, output, beside, door, stop)
+            outcome = _fly_apart(flown, run_secret, output, beside, listening, stop)
         _report(outcome, folder, json=wanted.json)
     _end(outcome, stop)
 
@@ -86,7 +87,7 @@ def _paced(flown: Scenario, wanted: RunOptions) -> Scenario:
     return msgspec.structs.replace(flown, run=msgspec.structs.replace(flown.run, realtime=1.0))
 
 
-def _door(flown: Scenario, wanted: RunOptions) -> Door:
+def _listening(flown: Scenario, wanted: RunOptions) -> Listening:
     """Return where others can join, after checking it.
 
     Raises:
@@ -95,7 +96,7 @@ def _door(flown: Scenario, wanted: RunOptions) -> Door:
     """
     if wanted.credentials is None or not wanted.listen:  # a variable's file is for other commands
         check_endpoints(wanted.listen, secured=True, insecure=False)
-        return Door(wanted.listen)
+        return Listening(wanted.listen)
     file = wanted.credentials
     given: CredentialSet = read_credentials(file)
     if given.tls is not None:
@@ -111,7 +112,7 @@ def _door(flown: Scenario, wanted: RunOptions) -> Door:
             f"`outrider credentials --scenario {wanted.scenario}`"
         )
     check_endpoints(wanted.listen, secured=True, insecure=False)
-    return Door(wanted.listen, given, file.parent)
+    return Listening(wanted.listen, given, file.parent)
 
 
 def _check_recording(record: Path | None) -> None:
@@ -149,7 +150,7 @@ def _fly_apart(
     secret: str,
     output: Output,
     beside: tuple[Beside, ...],
-    door: Door,
+    listening: Listening,
     stop: Stop,
 ) -> Outcome:
     with flight_progress(flown, "starting (the first start compiles)") as progress:
@@ -160,7 +161,7 @@ def _fly_apart(
             stop=lambda: stop.count,
             companions=beside,
         )
-        return launch(flown, watcher, output, secret=secret, door=door)
+        return launch(flown, watcher, output, secret=secret, listening=listening)
 
 
 def _check_processes(flown: Scenario, allowed: int) -> None:
