@@ -35,6 +35,7 @@ OLD = {
 """Pictures from before their words were written into the file, and why they are not drawn again."""
 ELSEWHERE = {
     "docs/tutorial.png": "test_notebooks.py",
+    "docs/how-to/helsinki.png": "test_town_import.py, by the extra [geo]",
     "docs/how-to/baselines.png": "test_sb3.py, in the environment of Stable-Baselines3",
 }
 """Pictures that another test compares."""

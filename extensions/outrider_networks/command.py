@@ -198,7 +198,7 @@ def netem(
     ] = "eth0",
     json: Json = False,
 ) -> None:
-    """Print each link as a command for tc-netem, the network emulator of Linux.
+    """Print links as commands for tc-netem.
 
     Comments name what netem cannot express. A command acts on all packets that leave a device; use one network
     namespace or device for each link.

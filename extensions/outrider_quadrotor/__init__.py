@@ -1,1 +1,1 @@
-"""Fly a rigid-body quadrotor below the reference model, and measure its tracking error."""
+"""Fly a quadrotor with attitude and motors."""

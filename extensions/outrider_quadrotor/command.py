@@ -19,7 +19,9 @@ Markdown = Annotated[bool, typer.Option("--markdown", help="Print the table as M
 
 @app.callback()
 def command(context: typer.Context) -> None:
-    """Fly a rigid-body quadrotor below the reference model, and measure its tracking error.
+    """Fly a quadrotor with attitude and motors.
+
+    It is the true body of a UAV below the reference model; its tracking error is measured.
 
     Example: outrider quadrotor measure escort
     """
@@ -53,7 +55,7 @@ def measure(
     markdown: Markdown = False,
     json: Json = False,
 ) -> None:
-    """Measure the tracking error of the quadrotor, and propose the bound to declare.
+    """Measure the tracking error, and propose a bound.
 
     It flies references at the bounds of each UAV: full, periodic and random reversals of the acceleration, circles at
     the maximum speed, and stops at walls, with wind and position error at their limits in directions that jump. Then it

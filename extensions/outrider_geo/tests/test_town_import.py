@@ -16,13 +16,16 @@ from shapely import Polygon
 from bus.geodesy import local
 from bus.messages.buildings import MOST_BUILDINGS
 from outrider.running.flying import fly
+from outrider.view.flight_picture import draw_flight
 from outrider_geo.heights import height_of
+from pages import words
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from tabular import rows
 
 ROOT = Path(__file__).resolve().parents[3]
 HELSINKI = ROOT / "examples" / "towns" / "helsinki.geojson"
+PICTURE = ROOT / "docs" / "how-to" / "helsinki.png"
 LATITUDE, LONGITUDE = 52.0, 5.0
 METRE = 1.0 / 111_266.0, 1.0 / 68_678.0
 """A metre at 52 degrees north, in degrees of latitude and of longitude."""
@@ -329,7 +332,7 @@ def test_too_many_buildings_name_a_size_that_has_few_enough(here: Path, command:
 
 
 def test_a_real_town_is_flown_in_sight(here: Path, command: Any) -> None:
-    options = ("--size", "300,300", "--height", 20, "--out", "real.toml", "--json")
+    options = ("--size", "300,300", "--height", 20, "--json")
     done = command("scenarios", "import", HELSINKI, *options)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
@@ -337,11 +340,13 @@ def test_a_real_town_is_flown_in_sight(here: Path, command: Any) -> None:
     assert report["uncovered_area"] == 0.0
     assert report["counts"]["contacts"] > 50
     assert any("ODbL" in line for line in report["statements"])
-    scenario = load_scenario(here / "real.toml", overrides={"duration": 20.0})
-    _, summary = fly(scenario, scenario.seed)
+    scenario = load_scenario(here / "helsinki.toml", overrides={"duration": 20.0})
+    flight, summary = fly(scenario, scenario.seed)
     assert summary.visibility_violations == 0
     assert summary.certified_share == 1.0
     assert summary.certified_while_lost == 0
     assert summary.mission is not None
     assert summary.mission.near_building == 0
     assert summary.max_distance > 2.0
+    draw_flight(flight, here / "drawn.png")
+    assert words(PICTURE) == words(here / "drawn.png"), "draw this picture again"
