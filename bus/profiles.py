@@ -130,7 +130,7 @@ def _checked(
 
 
 def _with_packages() -> Mapping[str, LinkSettings]:
-    """Return our profiles and those of other packages by name; skip invalid ones, with a warning."""
+    """Return all profiles by name, also of other packages; skip invalid ones, with a warning."""
     table = dict(SHIPPED)
     for entry, given in plugins.load_all("profiles", dict).items():
         try:

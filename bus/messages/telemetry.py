@@ -114,7 +114,7 @@ class UgvGuarantee(Message, frozen=True, kw_only=True):
     near_building: Tick = 0
     """Ticks in which it came nearer to a building than its `building_clearance`, between ticks too."""
     near_building_excused: Tick = 0
-    """Of these, ticks under a driver that guarantees no distance. Any further tick disproves what the UGV declares."""
+    """Ticks among them under a driver that guarantees no distance. Any further tick disproves what the UGV declares."""
 
 
 class MissionResult(Message, frozen=True, kw_only=True):

@@ -1,7 +1,7 @@
 """`outrider scenarios import`: a real town as a scenario."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
@@ -9,33 +9,39 @@ from bus.plugins import needs
 from outrider.cli.options import Json
 
 
-def _numbers(text: str, option: str, allowed: str) -> tuple[float, float]:
-    """Return the two numbers of an option."""
-    try:
-        one, other = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise typer.BadParameter(f"{option} {text}: not two numbers; allowed: {allowed}") from error
-    return one, other
+class _Pair(NamedTuple):
+    """Option of two numbers."""
+
+    option: str
+    allowed: str
+    lower: tuple[float, float]
+    upper: tuple[float, float]
+
+    def read(self, text: str | None) -> tuple[float, float] | None:
+        """Return the two numbers; None: the option is not given.
+
+        Raises:
+            typer.BadParameter: If the text is not two numbers within the bounds.
+        """
+        if text is None:
+            return None
+        try:
+            one, other = (float(part) for part in text.split(","))
+        except ValueError as error:
+            wrong = f"{self.option} {text}: not two numbers; allowed: {self.allowed}"
+            raise typer.BadParameter(wrong) from error
+        given = one, other
+        if not all(a <= b <= c for a, b, c in zip(self.lower, given, self.upper, strict=True)):
+            raise typer.BadParameter(f"{self.option} {text}: out of range; allowed: {self.allowed}")
+        return given
 
 
-def _center(text: str | None) -> tuple[float, float] | None:
-    if text is None:
-        return None
-    allowed = "LAT,LON in degrees, such as 60.1661,24.9482"
-    latitude, longitude = _numbers(text, "--origin", allowed)
-    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
-        raise typer.BadParameter(f"--origin {text}: out of range; allowed: {allowed}")
-    return latitude, longitude
-
-
-def _size(text: str | None) -> tuple[float, float] | None:
-    if text is None:
-        return None
-    allowed = "X,Y in metres, from 10 to 2000, such as 400,300"
-    width, height = _numbers(text, "--size", allowed)
-    if not (10.0 <= width <= 2000.0 and 10.0 <= height <= 2000.0):
-        raise typer.BadParameter(f"--size {text}: out of range; allowed: {allowed}")
-    return width, height
+_ORIGIN = _Pair(
+    "--origin", "LAT,LON in degrees, such as 60.1661,24.9482", (-90.0, -180.0), (90.0, 180.0)
+)
+_SIZE = _Pair(
+    "--size", "X,Y in metres, from 10 to 2000, such as 400,300", (10.0, 10.0), (2000.0, 2000.0)
+)
 
 
 def command(
@@ -78,13 +84,13 @@ def command(
     """Import the buildings of a real town from GeoJSON.
 
     The file is an export from OpenStreetMap (Overpass turbo, osmtogeojson) or Overture, in degrees. Buildings that
-    touch are merged, courts are filled, walls are simplified outwards, and the report tells what was done: no wall is
+    touch are merged, courts are filled, walls are simplified outwards, and a report lists the changes: no wall is
     lost. Heights are from height, building:height, building:levels or num_floors. A UGV drives through the town, and a
     UAV escorts it.
 
     Example: outrider scenarios import town.geojson --size 400,400
     """
-    center, sides = _center(origin), _size(size)
+    center, sides = _ORIGIN.read(origin), _SIZE.read(size)
     with needs("geo", "scenarios import"):
         from outrider_geo.town import Options  # noqa: PLC0415 - the extra [geo]
         from outrider_geo.work import write_town  # noqa: PLC0415 - the extra [geo]

@@ -40,7 +40,7 @@ class Buildings(NamedTuple):
     counts: Counter[str]
     """Features by what became of them, and buildings by the source of their height."""
     statements: tuple[str, ...]
-    """What the file says of its source, its date and its licence."""
+    """Statements of the file on its source, date and licence."""
 
 
 def read_buildings(path: Path) -> Buildings:

@@ -28,7 +28,6 @@ def scenario_text(
         title: Title in one line.
         comments: Lines at the head: the source, its date, its licence.
     """
-    start, *goals = vehicles.stops
     middle = vehicles.altitude + 0.5 * BAND
     area, origin = town.area, town.origin
     lines = [
@@ -67,12 +66,23 @@ def scenario_text(
         "[ground]",
         f"tile = {area.cell!r}",
         f"sensing_range = {1.5 * area.cell!r}",
+        *_vehicle_lines(vehicles, clearance),
+    ]
+    for one in town.buildings:
+        polygon = ", ".join(map(_point, one.polygon))
+        lines += ["", "[[building]]", f"polygon = [{polygon}]", f"height = {one.height!r}"]
+    return "\n".join(lines) + "\n"
+
+
+def _vehicle_lines(vehicles: Vehicles, clearance: float) -> list[str]:
+    start, *goals = vehicles.stops
+    return [
         "",
         "[[uav]]",
         f"position = {_point(start)}",
         f"max_speed = {vehicles.uav_speed!r}",
         f"max_acceleration = {UAV_ACCELERATION!r}",
-        f"initial_altitude = {middle!r}",
+        f"initial_altitude = {vehicles.altitude + 0.5 * BAND!r}",
         f"min_altitude = {vehicles.altitude!r}",
         f"max_altitude = {vehicles.altitude + BAND!r}",
         "",
@@ -86,10 +96,6 @@ def scenario_text(
         f"marker_height = {MARKER!r}",
         f"building_clearance = {clearance!r}",
     ]
-    for one in town.buildings:
-        polygon = ", ".join(map(_point, one.polygon))
-        lines += ["", "[[building]]", f"polygon = [{polygon}]", f"height = {one.height!r}"]
-    return "\n".join(lines) + "\n"
 
 
 def _point(point: Sequence[float]) -> str:

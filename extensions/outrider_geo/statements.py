@@ -1,4 +1,4 @@
-"""What a GeoJSON file says of its source, its date and its licence."""
+"""Statements of a GeoJSON file on its source, date and licence."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any

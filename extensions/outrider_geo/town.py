@@ -19,11 +19,10 @@ from bus.numbers import exact
 from outrider_geo import shapes
 from outrider_geo.reading import Buildings, Outline
 from sim.compiling.compile import FloatArray
+from sim.scenario.building_checks import MOST_CORNERS
 
 WIDEST = 2000.0
 """Largest side of an imported area [m]: the error of the flat Earth is decimetres there."""
-_MOST_CORNERS = 10_000
-"""Largest number of corners of all buildings of a scenario."""
 _LATITUDES = 80.0
 """Largest latitude of a scenario's origin [deg]."""
 _CELLS = ((500.0, 0.5), (1000.0, 1.0), (WIDEST, 2.0))
@@ -101,14 +100,14 @@ def import_town(found: Buildings, options: Options, file: str) -> Town:
         corners = sum(len(one.polygon) for one in town.buildings)
         raise ScenarioError(
             f"{file}: {len(town.buildings):,} buildings with {corners:,} corners in {_metres(area)} m; allowed: "
-            f"{MOST_BUILDINGS:,} buildings and {_MOST_CORNERS:,} corners at most: --size {size} has few enough"
+            f"{MOST_BUILDINGS:,} buildings and {MOST_CORNERS:,} corners at most: --size {size} has few enough"
         )
     return town
 
 
 def _too_many(town: Town) -> bool:
     corners = sum(len(one.polygon) for one in town.buildings)
-    return len(town.buildings) > MOST_BUILDINGS or corners > _MOST_CORNERS
+    return len(town.buildings) > MOST_BUILDINGS or corners > MOST_CORNERS
 
 
 def _metres(area: Area) -> str:
@@ -261,7 +260,7 @@ def _largest_size(found: Buildings, options: Options, town: Town) -> str:
         left, low = 0.5 * (area.width - width), 0.5 * (area.height - height)
         box = shapely.box(left, low, left + width, low + height)
         inside = shapely.intersects(polygons, box)
-        if inside.sum() > MOST_BUILDINGS or corners[inside].sum() > _MOST_CORNERS:
+        if inside.sum() > MOST_BUILDINGS or corners[inside].sum() > MOST_CORNERS:
             continue
         smaller = options._replace(center=center, size=(width, height))
         if not _too_many(_town(found, smaller, *_area(found.outlines, smaller, ""))):

@@ -45,9 +45,9 @@ class _Datagram(NamedTuple):
     flow: tuple[bytes, int, bytes, int]
     """Address and port of the sender and of the receiver."""
     identification: int
-    """Of the IPv4 header; 0 for IPv6."""
+    """Identification in the IPv4 header; 0 for IPv6."""
     digest: bytes
-    """Of the payload."""
+    """Digest of the payload."""
 
 
 def capture_times(sent: Path, received: Path, port: int | None) -> MessageTimes:
@@ -62,7 +62,7 @@ def capture_times(sent: Path, received: Path, port: int | None) -> MessageTimes:
         port: Port to which the datagrams are sent; None: the sender's capture has one flow only.
 
     Raises:
-        ScenarioError: If a capture cannot be read, or the flow or its datagrams cannot be told apart.
+        ScenarioError: If a capture cannot be read, or the flow or its datagrams are ambiguous.
     """
     flow = _only_flow([one for one in _datagrams(sent) if port in (None, one.flow[3])], sent, port)
     keys = [(one.digest,) for one in flow]

@@ -42,7 +42,7 @@ class Flights(msgspec.Struct, frozen=True, kw_only=True):
     """Ticks with the UGV out of sight."""
     certified_while_lost: int
     certificate_broken: int
-    """As in `outrider.running.metrics`."""
+    """Metrics of these names, see `outrider.running.metrics`."""
     mean_error: float
     """Mean coverage error e(t) [m²]."""
 

@@ -12,6 +12,7 @@ import math
 from typing import NamedTuple
 
 from sim.compiling.compile import FloatArray, compiled
+from sim.models.body import Vector3
 
 
 class Gains(NamedTuple):
@@ -101,7 +102,7 @@ def control(
 @compiled
 def _allocate(
     gains: Gains,
-    up: tuple[float, float, float],
+    up: Vector3,
     size: float,
     position: FloatArray,
     velocity: FloatArray,
@@ -140,5 +141,5 @@ def _allocate(
 
 
 @compiled
-def _dot(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
+def _dot(a: Vector3, b: Vector3) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

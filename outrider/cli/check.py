@@ -1,5 +1,7 @@
 """`outrider check`: validation of a scenario."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Annotated
 
 import typer
@@ -21,7 +23,7 @@ from outrider.running.user_code import foreign_code
 from sim.engine.briefing import uav_briefing
 from sim.scenario.checks import scenario_warnings
 from sim.scenario.laws import law_title
-from sim.scenario.types import NO_UAV
+from sim.scenario.types import NO_UAV, Scenario
 
 _LISTED = 12
 """Largest number of vehicles that are listed by name."""
@@ -49,7 +51,7 @@ def command(
 
     Example: outrider check my-scenario.toml --network wifi-poor
     """
-    try:
+    with _each_fault():
         scenario, named = resolve(
             file,
             seed=seed,
@@ -59,10 +61,6 @@ def command(
             network=network,
             changes=changes,
         )
-    except ScenarioError as error:
-        for line in error.args[:-1]:
-            ERR.tell(f"outrider: {line}")
-        raise ScenarioError(error.args[-1]) from error
     foreign = () if allow_code else foreign_code(scenario, named)
     warnings = [
         *scenario_warnings(scenario),
@@ -88,12 +86,6 @@ def command(
         )
         return
     print_warnings(warnings)
-    names = [vehicle.name for vehicle in scenario.vehicles]
-    many = f"{len(scenario.uav):,} UAVs and {len(scenario.ugv):,} UGVs"
-    vehicles = ", ".join(names) if len(names) <= _LISTED else many
-    law_text = f"law {law_title(scenario)}" if scenario.uav else NO_UAV
-    if certifiable not in (None, "always"):
-        law_text += f", sight {certifiable} certified"
     for name, one in verdicts.items():
         for line in one.lines:
             OUT.tell(f"{name}: {line}")
@@ -104,6 +96,28 @@ def command(
     for name, search in searches.items():
         if search is not None:
             OUT.tell(f"{name}: {search.line}")
+    _print_valid(scenario, certifiable)
+
+
+@contextmanager
+def _each_fault() -> Iterator[None]:
+    """Print each fault of a scenario that is refused, on a line of its own."""
+    try:
+        yield
+    except ScenarioError as error:
+        for line in error.args[:-1]:
+            ERR.tell(f"outrider: {line}")
+        raise ScenarioError(error.args[-1]) from error
+
+
+def _print_valid(scenario: Scenario, certifiable: str | None) -> None:
+    """Print the vehicles, the law and the duration."""
+    names = [vehicle.name for vehicle in scenario.vehicles]
+    many = f"{len(scenario.uav):,} UAVs and {len(scenario.ugv):,} UGVs"
+    vehicles = ", ".join(names) if len(names) <= _LISTED else many
+    law_text = f"law {law_title(scenario)}" if scenario.uav else NO_UAV
+    if certifiable not in (None, "always"):
+        law_text += f", sight {certifiable} certified"
     OUT.tell(
         f"{scenario.name}: valid ({vehicles}; {law_text}; {scenario.duration:g} s, {scenario.ticks} ticks)"
     )

@@ -58,7 +58,7 @@ class BudgetReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     """Line that `outrider network budget --child` writes to standard output."""
 
     step: str = ""
-    """What is computed now."""
+    """Current step of the computation."""
     share: float = 0.0
     """Share of the work that is done, 0 to 1."""
     budget: Budget | None = None

@@ -26,7 +26,7 @@ _VERTICAL = (
     "vertical_clearance",
 )
 _ROUNDING = 1e-12
-_MOST_CORNERS = 10_000
+MOST_CORNERS = 10_000
 """Maximum number of corners of all given buildings, which bounds the size of a briefing."""
 
 
@@ -129,9 +129,9 @@ def buildings_have_a_shape(scenario: Scenario) -> Iterator[Fault]:
     for k, building in enumerate(scenario.building):
         path = f"building.{k}.polygon"
         corners += len(building.polygon)
-        if corners > _MOST_CORNERS:
+        if corners > MOST_CORNERS:
             wrong = f"makes {corners:,} corners in total"
-            yield Fault(path, building.polygon, wrong, f"up to {_MOST_CORNERS:,} in total")
+            yield Fault(path, building.polygon, wrong, f"up to {MOST_CORNERS:,} in total")
         yield from polygon_faults(path, building.polygon)
         low, high = building.bounds
         if not (low[0] >= 0.0 and low[1] >= 0.0 and high[0] <= width and high[1] <= height):

@@ -36,7 +36,7 @@ Tags = dict[str, Any]
 def square(
     x: float, y: float, side: float = 8.0, longitude: float = LONGITUDE
 ) -> list[list[float]]:
-    """Return the ring of a square whose lower left corner is so many metres from the centre."""
+    """Return the ring of a square; its lower left corner is at this distance from the centre [m]."""
     corners = [(0.0, 0.0), (side, 0.0), (side, side), (0.0, side), (0.0, 0.0)]
     east = [longitude + METRE[1] * (x + a) for a, _ in corners]
     return [

@@ -88,7 +88,7 @@ def imported(buildings: list[Rings], **options: float) -> Town:
 
 
 def placed(town: Town, rings: Rings) -> list[LineString]:
-    """Return the walls of a building in the town's coordinates, which are those of its own corner."""
+    """Return the walls of a building in the coordinates of the town, whose origin is its lower left corner."""
     corner = Origin(
         latitude=geodetic(CENTER, -0.5 * SIDE, -0.5 * SIDE)[0],
         longitude=geodetic(CENTER, -0.5 * SIDE, -0.5 * SIDE)[1],
