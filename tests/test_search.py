@@ -165,6 +165,56 @@ def test_all_ground_of_an_area_is_in_sight_in_time(kind: str, size: float) -> No
         assert (places <= size).all()
 
 
+def random_bounds(rng: np.random.Generator) -> SafetyBounds:
+    """Return a random vehicle in a random area, of half to ten radii of sight along each side."""
+    radius, v_a = 10.0 ** rng.uniform(0.3, 1.6), 10.0 ** rng.uniform(-1.5, 0.3)
+    width, height = radius * 10.0 ** rng.uniform(-0.3, 1.0, 2)
+    return safety_bounds(
+        SafetyParameters(max_measurement_error=0.01, max_measurement_age=1.0, search=True),
+        width=width,
+        height=height,
+        v_a=radius * v_a,
+        u_a=radius * v_a * 10.0 ** rng.uniform(-1.2, 1.0),
+        v_g=radius * v_a / 4.0,
+        visibility_radius=radius,
+        dt=0.1,
+    )
+
+
+def time_until_seen(bounds: SafetyBounds, x: float, y: float, within: float) -> float:
+    """Return the time of a search from (x, y) until all ground has been in sight [s]; inf: not up to `within`."""
+    far = math.hypot(max(x, bounds.width - x), max(y, bounds.height - y))
+    memory, start = lost(bounds, x, y)
+    start = max(start, math.ceil(1.01 * far / (bounds.v_g * bounds.dt)))  # it can be anywhere
+    places = np.zeros((math.ceil(within / bounds.dt), 2))
+    fly_search(bounds, memory, start, State(x, y, 0.0, 0.0), places)
+    sides = np.linspace(0.0, bounds.width, 31), np.linspace(0.0, bounds.height, 31)
+    ground = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
+    seen = np.full(len(ground), np.inf)
+    step = max(1, int(0.05 * bounds.radius / (bounds.v_a * bounds.dt)))
+    for k in range(0, len(places), step):
+        is_near = np.hypot(*(ground - places[k]).T) < (1.0 - DRIFT) * bounds.radius
+        seen[is_near & np.isinf(seen)] = k * bounds.dt
+    return float(seen.max())
+
+
+@pytest.mark.long
+def test_time_over_a_random_area_is_near_its_estimate() -> None:
+    """With `-s` it prints the numbers of docs/explanation/proof.md."""
+    rng, ratios = np.random.default_rng(11), list[float]()
+    while len(ratios) < 1000:
+        bounds = random_bounds(rng)
+        x, y = rng.uniform(0.0, bounds.width), rng.uniform(0.0, bounds.height)
+        far = math.hypot(max(x, bounds.width - x), max(y, bounds.height - y))
+        estimate = search_time(bounds, far, start=(x, y))
+        if estimate < 6000.0:
+            ratios.append(time_until_seen(bounds, x, y, 4.0 * estimate) / estimate)
+    longer = sum(ratio > 1.0 for ratio in ratios)
+    print(f"{longer} of {len(ratios)} areas took longer, at most {max(ratios):.2f} times as long")  # noqa: T201
+    assert longer < 100
+    assert max(ratios) < 1.5
+
+
 def test_uav_without_search_waits_at_its_newest_measurement() -> None:
     bounds = bounds_for("paper")._replace(search=False)
     memory, start = lost(bounds, 3.0, 4.0)

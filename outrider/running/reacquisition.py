@@ -1,4 +1,4 @@
-"""Times after which a search sees the UGV again, before a run. docs/explanation/proof.md, "Search", states them."""
+"""Times after which a search sees the UGV again, before a run; see docs/explanation/proof.md, "Search"."""
 
 import math
 from typing import NamedTuple
@@ -16,14 +16,14 @@ _PLACES = (0.0, 0.5, 1.0)
 
 
 class Reacquisition(NamedTuple):
-    """Longest times of a search, from the UAV's arrival at the newest measurement, for a UGV that stays put."""
+    """Times of a search, from the UAV's arrival at the newest measurement, for a UGV that stays put."""
 
     distance: float
     """Distance of the UGV from its newest measurement [m] for `near`."""
     near: float
     """Time [s] for this distance."""
     area: float
-    """Time [s] for any distance in the area."""
+    """Estimate of the time for any distance in the area [s]."""
     hidden: bool
     """True if buildings may hide the UGV, so that neither time is certain."""
 
@@ -33,7 +33,7 @@ class Reacquisition(NamedTuple):
         unless = ", unless a building hides it" if self.hidden else ""
         return (
             f"searches after lost sight: sees a UGV that stays put within {math.ceil(self.near)} s up to "
-            f"{self.distance:.3g} m from its newest measurement, within {math.ceil(self.area)} s anywhere in the "
+            f"{self.distance:.3g} m from its newest measurement, in about {math.ceil(self.area)} s anywhere in the "
             f"area{unless}"
         )
 
