@@ -45,7 +45,7 @@ def command(
     Exits with 0, or with 2 and a line for each independent fault, which names file, field and value. The command
     accepts the options of `run` that change the scenario, and prints the same warnings. With a safety filter, it
     reports the bounds that links or detector may exceed, whether sight can be certified always, not always, hardly ever
-    or never, for each single field the smallest change that would make it certifiable, and the longest time of a search
+    or never, for each single field the smallest change that would make it certifiable, and the time of a search
     after lost sight. Your own functions are loaded and called for one tick; functions named in the file need
     --allow-code.
 
