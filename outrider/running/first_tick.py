@@ -1,26 +1,27 @@
-"""Trial of the user's functions for one tick."""
+"""Trial of the user's functions, and of bodies, for one tick."""
 
 from concurrent.futures.process import BrokenProcessPool
 
 import msgspec
 
 from bus.errors import ScenarioError
-from bus.registry import DRIVERS
+from bus.registry import BODIES, DRIVERS
 from outrider.running.user_code import own_code
 from outrider.running.workers import open_pool
 from sim.scenario.types import Scenario
 
 
 def check_first_tick(scenario: Scenario) -> None:
-    """Fly one tick if the scenario uses the user's functions, so that each is called once.
+    """Fly one tick if the scenario uses the user's functions or a UAV has another body, so that each is called once.
 
     The tick is flown in another process: a crashing library ends only that process, and only it needs the compiler.
 
     Raises:
-        ScenarioError: If a function fails.
+        ScenarioError: If a function fails, or a body does not suit its UAV.
     """
     outside = any(DRIVERS[ugv.driver].outside for ugv in scenario.ugv)
-    if not own_code(scenario) or outside:
+    has_body = any(BODIES[uav.body].make for uav in scenario.uav)
+    if not (own_code(scenario) or has_body) or outside:
         return
     tick = msgspec.structs.replace(scenario, duration=scenario.dt)
     with open_pool(1) as pool:

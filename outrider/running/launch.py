@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 
 from bus.credentials import new_credentials, write_credential
-from bus.errors import PeerLost
+from bus.errors import PeerLost, ScenarioError
 from bus.keys import OBSERVER_NAME, OPERATOR_NAME, SIMULATOR_NAME
 from bus.locator import UNIX, reachable
 from bus.registry import DRIVERS
@@ -314,7 +314,8 @@ def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcom
     followed.show_events(all_of_them=True)
     simulator.wait(_PATIENCE)
     if outcome.summary is None and not outcome.fault and not watcher.stop():
-        raise PeerLost(simulator.exit_report())
+        refusal = simulator.error_line() if simulator.ended == _UNUSABLE else ""
+        raise ScenarioError(refusal) if refusal else PeerLost(simulator.exit_report())
     if simulator.ended not in (0, None) and not watcher.stop() and not outcome.fault:
         outcome.fault = simulator.stderr_tail() or simulator.exit_report()
     return outcome

@@ -311,6 +311,12 @@ class Verdict(NamedTuple):
         return (f"sight can {self.certifiable} be certified ({room}{old}{noisy})",)
 
 
+def _seen(bounds: SafetyBounds) -> float:
+    """Return the distance that r_cert is compared with [m]: both are distances of the reference plus w."""
+    w = bounds.max_tracking_error
+    return bounds.radius + (w if math.isfinite(w) else 0.0)
+
+
 def verdict(scenario: Scenario, uav: Uav) -> Verdict:
     """Return whether sight of a UAV's UGV can be certified; if not, the search for changes takes about a second."""
     briefing = uav_briefing(scenario, uav.name, scenario.seed)
@@ -320,7 +326,7 @@ def verdict(scenario: Scenario, uav: Uav) -> Verdict:
     return Verdict(
         certifiable="never" if bounds is None else how or "always",
         r_cert=None if bounds is None else certified_radius(bounds),
-        radius=bounds_of(briefing).radius,
+        radius=_seen(bounds or bounds_of(briefing)),
         largest_age=None if bounds is None else ages[0],
         noise=noise,
         noise_factor=noise / scenario.detections.noise if scenario.detections.noise else 1.0,

@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -92,6 +93,15 @@ def test_a_crash_and_a_weak_drone_are_told_in_one_line() -> None:
     for strong in ("uav.0.max_acceleration=inf", "wind.mean=[9.8, 0.0]"):
         with pytest.raises(ScenarioError, match=r"uav\.0\.body = 'quadrotor': too weak"):
             World(load(strong), 1)
+
+
+def test_a_weak_drone_is_refused_by_check_and_run(command: Any, here: Path) -> None:
+    weak = ("--set", "uav.0.body=quadrotor", "--set", "uav.0.max_acceleration=30")
+    for name in ("check", "run"):
+        refused = command(name, "escort", *weak, "--set", "certificate.max_tracking_error=0.1")
+        assert refused.returncode == 2
+        (line,) = refused.stderr.strip().splitlines()
+        assert line.startswith("outrider: uav.0.body = 'quadrotor': too weak")
 
 
 # -- its place in a world
