@@ -5,6 +5,7 @@ python benchmarks/cautious_attacks.py NAME
 attack: 10,000 runs over ground that an adversary reveals in its own order; in half of them it also controls the UGV.
 lossy: the same over links that lose, delay and reorder commands.
 clearance: the same, over the same links, for UGVs that keep a distance from all ground that they do not know.
+steering: the same, over the same links, for UGVs that steer: differential drives and cars.
 broken: the same with faulty filters, each of which must be caught.
 arrivals: share of reachable goals that are reached, with the sensor alone and with ground revealed in any order.
 speed: durations of a plan and of a tick; the slowest tick of a UGV that plans over 400 x 400 tiles.
@@ -26,6 +27,7 @@ from cautious_trials import (
     Ugv,
     changed,
     draw_distant_trial,
+    draw_steering_trial,
     draw_trial,
     entered_ticks,
     is_rough,
@@ -48,11 +50,12 @@ from agents.drivers.planning import continue_search, start_search
 from agents.drivers.tile_map import OccupancyGrid, occupancy_grid, record_block, record_tiles
 from sim.models.ground import CERTIFIED, CLEAR, NO_CLAIM, PATH_UNKNOWN, UNSEEN, TileArray
 from sim.models.hazards import BLOCK, FOUND, TOUCH
+from sim.models.kinematics import UgvState, step_ugv, ugv_within_walls
 from sim.models.trajectories import NO_TRAJECTORY
-from sim.models.vehicles import State, brake, clip_norm, norm, step_vehicle, within_walls
+from sim.models.vehicles import brake, clip_norm, norm
 
 RUNS = 10_000
-Check = Callable[[Ugv, bool, TileArray, Open, State, float, float], bool]
+Check = Callable[[Ugv, bool, TileArray, Open, UgvState, float, float], bool]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,7 +127,7 @@ class Teller:
 
 
 def _wanted(
-    trial: Trial, rng: np.random.Generator, before: tuple[float, float], own: State
+    trial: Trial, rng: np.random.Generator, before: tuple[float, float], own: UgvState
 ) -> tuple[float, float]:
     """Return the adversary's nominal control [m/s²]: straight on, a sharp turn, or anything."""
     u = min(trial.parameters.max_acceleration, trial.parameters.max_speed / trial.parameters.dt)
@@ -170,7 +173,7 @@ class Receiver:
         late = int(self._rng.integers(0, self._delay + 3))  # at most two ticks too late
         self._coming.setdefault(tick + late, []).extend(packet)
 
-    def act(self, tick: int, own: State, parameters: Ugv) -> tuple[float, float]:
+    def act(self, tick: int, own: UgvState, parameters: Ugv) -> tuple[float, float]:
         """Return the command of this tick [m/s²]: the due trajectory's if it arrived and its parent is committed."""
         for begins, parent, u_x, u_y in self._coming.pop(tick, []):
             if begins >= tick:
@@ -183,7 +186,7 @@ class Receiver:
 
 
 def _filtered_by(
-    check: Check | None, trial: Trial, memory: OccupancyGrid, tick: int, own: State,
+    check: Check | None, trial: Trial, memory: OccupancyGrid, tick: int, own: UgvState,
     wanted: tuple[float, float], flown: int,
 ) -> tuple[float, float]:  # fmt: skip
     """Return the nominal control if it is safe, else the braking one: by the filter, or by another check."""
@@ -197,6 +200,13 @@ def _filtered_by(
     store_command(memory, tick, parent, *wanted)
     update_claim(parameters, memory, ahead, *wanted)
     return wanted
+
+
+def moved(ugv: Ugv, own: UgvState, u: tuple[float, float], ground_speed: float) -> UgvState:
+    """Return the state after a tick with a command [m/s²], on ground with this largest speed [m/s]."""
+    bounds = ugv.max_speed, ugv.max_acceleration
+    after = step_ugv(ugv.kinematics, own, *u, bounds, ground_speed, ugv.dt)
+    return ugv_within_walls(ugv.kinematics, after, ugv.width, ugv.height)
 
 
 def fly(
@@ -227,7 +237,7 @@ def fly(
     )
     teller = Teller(trial, memory, rng)
     known = np.full(trial.truth.shape, LATER)
-    own, driven, tick = State(*trial.start, 0.0, 0.0), 0.0, 0
+    own, driven, tick = UgvState(*trial.start, 0.0, 0.0, trial.heading), 0.0, 0
     queue, states, wanted = [(0.0, 0.0)] * trial.delay, [own], (0.0, 0.0)
     receiver = Receiver(memory, rng) if lossy else None
     flown = PLAIN if receiver is None else NO_TRAJECTORY
@@ -257,15 +267,8 @@ def fly(
         v_max = parameters.max_speed
         if is_rough(trial, own.p_x, own.p_y):
             v_max *= rng.uniform(trial.slowest, 1.0)
-        x, y, v_x, v_y, _, _ = step_vehicle(
-            *own, u_x, u_y, v_max, parameters.max_acceleration, parameters.dt
-        )
-        (x, v_x), (y, v_y) = (
-            within_walls(x, v_x, parameters.width),
-            within_walls(y, v_y, parameters.height),
-        )
-        driven += math.dist((x, y), own[:2])
-        own = State(x, y, v_x, v_y)
+        before_tick, own = own, moved(parameters, own, (u_x, u_y), v_max)
+        driven += math.dist(before_tick[:2], own[:2])
         states.append(own)
     near = int(near_ticks(trial, states).sum()) if trial.clearance > 0.0 else 0
     entered = int(entered_ticks(trial, known, states).sum())
@@ -290,23 +293,26 @@ def is_reachable(trial: Trial) -> bool:
     return bool(np.isfinite(memory.cost[tiles]).all())
 
 
-def _brakes_short(ugv: Ugv, late: bool, t: TileArray, ground: Open, own: State, *u: float) -> bool:
+def _brakes_short(
+    ugv: Ugv, late: bool, t: TileArray, ground: Open, own: UgvState, *u: float
+) -> bool:
     kept = clip_norm(*u, ugv.max_acceleration)
     return is_safe(
         changed(ugv, max_acceleration=1.25 * ugv.max_acceleration), late, t, ground, own, *kept
     )
 
 
-def _after(ugv: Ugv, own: State, u_x: float, u_y: float) -> tuple[tuple[float, float], ...]:
+def _after(ugv: Ugv, own: UgvState, u_x: float, u_y: float) -> tuple[tuple[float, float], ...]:
     """Return the positions at the end of the tick and at the stop after it [m]."""
-    x, y, w_x, w_y, _, _ = step_vehicle(*own, u_x, u_y, ugv.max_speed, ugv.max_acceleration, ugv.dt)
+    bounds = ugv.max_speed, ugv.max_acceleration
+    x, y, w_x, w_y, _ = step_ugv(ugv.kinematics, own, u_x, u_y, bounds, ugv.max_speed, ugv.dt)
     speed = norm(w_x, w_y)
     share = braking_distance(speed, ugv.max_acceleration, ugv.dt) / speed if speed else 0.0
     return (x, y), (x + share * w_x, y + share * w_y)
 
 
 def _forgets_corners(
-    ugv: Ugv, late: bool, t: TileArray, ground: Open, own: State, *u: float
+    ugv: Ugv, late: bool, t: TileArray, ground: Open, own: UgvState, *u: float
 ) -> bool:
     """Check the tiles of some points of the path only."""
     there, end = _after(ugv, own, *u)
@@ -324,7 +330,7 @@ def _forgets_corners(
 
 
 def _takes_the_chord(
-    ugv: Ugv, late: bool, t: TileArray, ground: Open, own: State, *u: float
+    ugv: Ugv, late: bool, t: TileArray, ground: Open, own: UgvState, *u: float
 ) -> bool:
     """Approximate the path within a tick by a straight line."""
     there, end = _after(ugv, own, *u)
@@ -337,7 +343,7 @@ def _takes_the_chord(
 
 
 def _checks_only_now(
-    ugv: Ugv, late: bool, t: TileArray, ground: Open, own: State, *u: float
+    ugv: Ugv, late: bool, t: TileArray, ground: Open, own: UgvState, *u: float
 ) -> bool:
     """Check braking from the current state, not from the state after the command."""
     return is_safe(
@@ -362,6 +368,11 @@ def lossy(runs: int = RUNS) -> Iterator[str]:
 def clearance(runs: int = RUNS) -> Iterator[str]:
     """Run the attacks on UGVs that keep a distance from all ground that they do not know."""
     yield from attack(runs, lossy=True, draw=draw_distant_trial)
+
+
+def steering(runs: int = RUNS) -> Iterator[str]:
+    """Run the attacks on UGVs that steer: differential drives and cars."""
+    yield from attack(runs, lossy=True, draw=draw_steering_trial)
 
 
 def attack(
@@ -441,18 +452,14 @@ def _slowest_tick(most: int, ticks: int = 600) -> str:
         draw_trial(3, wheel="plan", calm=True).parameters, width=200.0, height=200.0, tile=0.5, dt=0.05, max_speed=1.0,
         max_acceleration=0.5, plan_ticks=4, bold=1, plan_tiles=most,
     )  # fmt: skip
-    own = State(1.0, 1.0, 0.0, 0.0)
+    own = UgvState(1.0, 1.0, 0.0, 0.0, 0.0)
     for tick in range(ticks):
         state = np.array([(CLEAR, FOUND)[tick % 2]], np.uint8)
         record_tiles(memory, np.array([399]), np.array([399]), state)
         began = time.perf_counter()
         u = navigate_control(parameters, memory, goals, tick, own, PLAIN)
         took.append(1e3 * (time.perf_counter() - began))
-        own = State(
-            *step_vehicle(
-                *own, *u, parameters.max_speed, parameters.max_acceleration, parameters.dt
-            )[:4]
-        )
+        own = moved(parameters, own, u, parameters.max_speed)
     slowest = ", ".join(f"{one:.1f}" for one in sorted(took)[:-4:-1])
     plans, driven = memory.flags[0]["plans"], math.dist(own[:2], (1.0, 1.0))
     return f"the slowest of {ticks} ticks took {slowest} ms; {plans} plans, {driven:.1f} m driven"
@@ -473,14 +480,10 @@ def speed() -> Iterator[str]:
     trial = draw_trial(3, wheel="plan", calm=True)
     parameters, memory = trial.parameters, occupancy_grid(*trial.truth.shape)
     memory.tiles[:] = trial.truth
-    own, began, ticks = State(*trial.start, 0.0, 0.0), time.perf_counter(), 5000
+    own, began, ticks = UgvState(*trial.start, 0.0, 0.0, trial.heading), time.perf_counter(), 5000
     for tick in range(ticks):
         u = navigate_control(parameters, memory, trial.goals, tick, own, PLAIN)
-        own = State(
-            *step_vehicle(
-                *own, *u, parameters.max_speed, parameters.max_acceleration, parameters.dt
-            )[:4]
-        )
+        own = moved(parameters, own, u, parameters.max_speed)
     yield f"a tick on known ground: {1e6 * (time.perf_counter() - began) / ticks:.1f} µs with the vehicle"
 
 
@@ -488,6 +491,7 @@ TABLES = {
     "attack": attack,
     "lossy": lossy,
     "clearance": clearance,
+    "steering": steering,
     "broken": broken,
     "arrivals": arrivals,
     "speed": speed,

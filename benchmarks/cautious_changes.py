@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import numpy.typing as npt
+from cautious_attacks import moved
 from cautious_trials import (
     LATER,
     Trial,
@@ -40,7 +41,8 @@ from bus.messages.scenario import Area, Limits
 from bus.messages.vehicle import Teleoperation, UgvBriefing, UgvCommand, UgvObservation
 from sim.models.ground import UNSEEN, TileArray
 from sim.models.hazards import BLOCK
-from sim.models.vehicles import State, brake, step_vehicle, within_walls
+from sim.models.kinematics import UgvState
+from sim.models.vehicles import brake
 
 RUNS = 10_000
 _OTHERS = ("teleop", "teleop", "waypoints", "wander")
@@ -94,7 +96,7 @@ class Link:
             late = int(self._rng.integers(0, late + 2))
         self._coming.setdefault(tick + late, []).append(command)
 
-    def act(self, tick: int, own: State, u_max: float, dt: float) -> tuple[float, float]:
+    def act(self, tick: int, own: UgvState, u_max: float, dt: float) -> tuple[float, float]:
         """Return the acceleration of this tick [m/s²]."""
         for command in self._coming.pop(tick, []):
             for one in command.backup_trajectories:
@@ -225,7 +227,7 @@ def _operated(flight: Flight, rng: np.random.Generator) -> tuple[Teleoperation, 
     return (Teleoperation(operator="operator", velocity=velocity),)
 
 
-def _near_house(flight: Flight, states: list[State]) -> npt.NDArray[np.bool_]:
+def _near_house(flight: Flight, states: list[UgvState]) -> npt.NDArray[np.bool_]:
     """Return the ticks with a point of the path nearer to a mapped building than the clearance. Shape (ticks,)."""
     x, y = path_points(flight.trial, states)
     near = np.zeros(len(x), bool)
@@ -237,14 +239,10 @@ def _near_house(flight: Flight, states: list[State]) -> npt.NDArray[np.bool_]:
     return near
 
 
-def _moved(flight: Flight, own: State, u: tuple[float, float], share: float) -> State:
+def _moved(flight: Flight, own: UgvState, u: tuple[float, float], share: float) -> UgvState:
     """Return the state after a tick with a command [m/s²], at this share of the maximum speed."""
     ugv = flight.trial.parameters
-    x, y, v_x, v_y, _, _ = step_vehicle(
-        *own, *u, ugv.max_speed * share, ugv.max_acceleration, ugv.dt
-    )
-    (x, v_x), (y, v_y) = within_walls(x, v_x, ugv.width), within_walls(y, v_y, ugv.height)
-    return State(x, y, v_x, v_y)
+    return moved(ugv, own, u, ugv.max_speed * share)
 
 
 class Record:
@@ -254,12 +252,12 @@ class Record:
         shape = flight.trial.truth.shape
         self._flight = flight
         self._since, self._blocked = np.full(shape, LATER), np.full(shape, LATER)
-        self.states = [State(*flight.trial.start, 0.0, 0.0)]
+        self.states = [UgvState(*flight.trial.start, 0.0, 0.0, flight.trial.heading)]
         self._claims: list[str] = []
         self._drivers: list[str] = []
 
     def add(
-        self, tick: int, known: TileArray, driver: str, answer: UgvCommand, there: State
+        self, tick: int, known: TileArray, driver: str, answer: UgvCommand, there: UgvState
     ) -> None:
         """Record a tick, and the state after it."""
         report = answer.report
@@ -363,7 +361,7 @@ def draw_flight(seed: int) -> Flight:
 def _is_near(flight: Flight, tiles: float) -> bool:
     """Return whether the start is nearer to a building than the clearance plus this many tiles."""
     kept = flight.kept + tiles * float(flight.trial.parameters.tile)
-    states = [State(*flight.trial.start, 0.0, 0.0)] * 2
+    states = [UgvState(*flight.trial.start, 0.0, 0.0, flight.trial.heading)] * 2
     return bool(_near_house(dataclasses.replace(flight, kept=kept), states).any())
 
 

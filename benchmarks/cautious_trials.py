@@ -12,7 +12,7 @@ from sim.compiling.compile import FloatArray
 from sim.compiling.records import records
 from sim.models.ground import CLEAR, TileArray
 from sim.models.hazards import BLOCK, FOUND, ROUGH
-from sim.models.vehicles import State
+from sim.models.kinematics import ACKERMANN, DIFFERENTIAL, Kinematics, UgvState
 
 LATER = 1 << 40
 """Tick later than any in a run."""
@@ -24,13 +24,13 @@ Ugv = Any
 """Record of `NavigateParameters`."""
 
 
-def parameters_of(**numbers: float) -> Ugv:
+def parameters_of(**numbers: float | Kinematics) -> Ugv:
     """Return the record of the driver's parameters."""
     given = NavigateParameters(**numbers)  # type: ignore[arg-type]
     return records(NavigateParameters, [given]).view(np.recarray)[0]
 
 
-def changed(ugv: Ugv, **numbers: float) -> Ugv:
+def changed(ugv: Ugv, **numbers: float | Kinematics) -> Ugv:
     """Return a record with other numbers."""
     new = ugv.copy()
     for name, number in numbers.items():
@@ -58,6 +58,8 @@ class Trial:
     wheel: str
     """Nominal control: one of `WHEELS`."""
     ticks: int
+    heading: float = 0.0
+    """Initial heading of a UGV that steers [rad]."""
     clearance: float = 0.0
     """Distance that the UGV keeps from every tile not known to be drivable [m]; 0: none."""
 
@@ -131,6 +133,7 @@ def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Tr
         max_speed=v_max,
         max_acceleration=u_max,
         goal_tolerance=0.3 * tile,
+        kinematics=Kinematics(),
         tile=tile,
         rough_share=believed,
         bold=0,
@@ -172,6 +175,21 @@ def draw_distant_trial(seed: int, *, wheel: str | None = None) -> Trial:
             return dataclasses.replace(trial, clearance=kept)
 
 
+def draw_steering_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Trial:
+    """Draw the trial of a seed with a UGV that steers: a differential drive or a car, tight or wide."""
+    rng = np.random.default_rng([seed, 3])
+    trial = draw_trial(seed, wheel=wheel, calm=calm)
+    tile, ugv = trial.parameters.tile, trial.parameters
+    size = tile * float(np.exp(rng.uniform(math.log(0.2), math.log(1.0 if calm else 5.0))))
+    car = rng.random() < 0.5
+    kinematics = Kinematics(ACKERMANN if car else DIFFERENTIAL, size, 1.0 / size)
+    if math.isinf(ugv.max_acceleration):
+        ugv = changed(ugv, max_acceleration=ugv.max_speed / ugv.dt)
+    parameters = changed(ugv, kinematics=kinematics)
+    heading = float(rng.uniform(-math.pi, math.pi))
+    return dataclasses.replace(trial, parameters=parameters, heading=heading)
+
+
 def is_rough(trial: Trial, x: float, y: float) -> bool:
     """Return whether a point touches a rough tile."""
     rows, columns = trial.truth.shape
@@ -182,7 +200,7 @@ def is_rough(trial: Trial, x: float, y: float) -> bool:
     )
 
 
-def path_points(trial: Trial, states: list[State]) -> tuple[FloatArray, FloatArray]:
+def path_points(trial: Trial, states: list[UgvState]) -> tuple[FloatArray, FloatArray]:
     """Return points of the path [m]: x and y. Shape (ticks, points)."""
     track = np.array(states)
     a, b, dt = track[:-1], track[1:], trial.parameters.dt
@@ -198,7 +216,7 @@ def path_points(trial: Trial, states: list[State]) -> tuple[FloatArray, FloatArr
     return points[0], points[1]
 
 
-def near_ticks(trial: Trial, states: list[State]) -> npt.NDArray[np.bool_]:
+def near_ticks(trial: Trial, states: list[UgvState]) -> npt.NDArray[np.bool_]:
     """Return the ticks with a point of the path within the clearance of a blocked tile. Shape (ticks,)."""
     x, y = path_points(trial, states)
     s, near = trial.parameters.tile, np.zeros(len(x), bool)
@@ -212,7 +230,7 @@ def near_ticks(trial: Trial, states: list[State]) -> npt.NDArray[np.bool_]:
 def entered_ticks(
     trial: Trial,
     known: npt.NDArray[np.int64],
-    states: list[State],
+    states: list[UgvState],
     blocked: npt.NDArray[np.int64] | None = None,
 ) -> npt.NDArray[np.bool_]:
     """Return the ticks with a point of the path in a closed tile not known to be drivable at the tick's start.
@@ -243,6 +261,6 @@ def entered_ticks(
             bad |= (on & (known[there] > tick)).any(axis=1)
             if blocked is not None:
                 bad |= (on & (blocked[there] <= tick)).any(axis=1)
-    moved = (a[:, :2] != b[:, :2]).any(axis=1) | (a[:, 2:] != 0.0).any(axis=1)
+    moved = (a[:, :2] != b[:, :2]).any(axis=1) | (a[:, 2:4] != 0.0).any(axis=1)
     found: npt.NDArray[np.bool_] = bad & moved
     return found

@@ -151,6 +151,18 @@ UGV: Table = (
 )
 """Observation of a UGV: its own state, and its own goal."""
 
+HEADING: Table = (
+    Entry("heading_x", "own heading, x: its cosine", "", "-1", "1"),
+    Entry("heading_y", "own heading, y: its sine", "", "-1", "1"),
+)
+"""Further entries of a UGV that steers, after `UGV`; also at the end of its state."""
+
+
+def ugv_table(*, steers: bool) -> Table:
+    """Return the entries of a UGV's row; `steers`: it moves along its heading only."""
+    return UGV + HEADING if steers else UGV
+
+
 STATE: Table = (
     _TIME,
     Entry("covered", "share of the area with C >= C*", "", "0", "1"),
@@ -267,6 +279,7 @@ TABLES = {
     "team_observation": TEAM,
     "mate_observation": MATE,
     "ugv_observation": UGV,
+    "heading_observation": HEADING,
     "common_state": STATE,
     "uav_state": UAV_STATE,
     "ugv_state": UGV_STATE,

@@ -339,6 +339,9 @@ TOUCHES = ("stuck", "damage")
 BOLD = "bold"
 CAUTIONS = ("cautious", BOLD)
 """Cautions of a UGV on unknown ground: drive only as fast as it can stop before it, or drive on."""
+DEFAULT_KINEMATICS = "point"
+KINEMATICS = (DEFAULT_KINEMATICS, "differential", "ackermann")
+"""Kinematics of a UGV: in any direction, or along its heading; see `sim.models.kinematics`."""
 ALTITUDE_LAWS = ("fixed", "certified", "best")
 """Laws of a UAV's altitude: it stays at the initial one, or the law selects it."""
 

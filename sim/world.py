@@ -32,6 +32,7 @@ from sim.models.ground import (
     block_letters,
     tile_states,
 )
+from sim.models.kinematics import POINT
 from sim.models.randomness import BUILDING_FIELDS
 from sim.models.trajectories import NO_TRAJECTORY, keep_trajectory, received_trajectory
 from sim.scenario.building_tables import run_buildings
@@ -130,6 +131,18 @@ class World:
         """`sim.models.altitude.VerticalState` of each vehicle. Shape (vehicles,)."""
         vertical: RecordArray = self.vehicles["vertical"]
         return vertical
+
+    def heading(self, row: int) -> float | None:
+        """Return the heading of a vehicle [rad]; None: it moves in any direction."""
+        vehicle = self.vehicles[row]
+        if vehicle["kinematics"]["kind"] == POINT:
+            return None
+        return float(vehicle["heading"])
+
+    def headings(self) -> dict[str, float]:
+        """Return the headings of the UGVs that steer [rad]."""
+        found = ((name, self.heading(row)) for row, name in enumerate(self.names))
+        return {name: heading for name, heading in found if heading is not None}
 
     def vertical_truth(self) -> dict[str, dict[str, float]]:
         """Return the fields of `VehicleTruth` of the vertical motion, by UAV; empty in the plane."""

@@ -39,7 +39,8 @@ from flights import ugv_briefing
 from sim.compiling.records import records
 from sim.models.ground import CLEAR, UNSEEN
 from sim.models.hazards import BLOCK, FOUND, ROUGH, TOUCH
-from sim.models.vehicles import State, brake, norm, step_vehicle
+from sim.models.kinematics import UgvState, step_ugv
+from sim.models.vehicles import brake, norm, step_vehicle
 
 ROUGH_PRICE = 2.5
 _STEPS = [step for step in itertools.product((-1, 0, 1), repeat=2) if step != (0, 0)]
@@ -229,7 +230,7 @@ def _on_tiles(**numbers: float) -> Any:
 def test_fastest_safe_speed_just_allows_a_stop() -> None:
     tiles = np.full((8, 8), CLEAR, np.uint8)
     tiles[:, 5:] = UNSEEN
-    p, own = _on_tiles(max_speed=3.0), State(2.5, 2.5, 1.0, 0.0)
+    p, own = _on_tiles(max_speed=3.0), UgvState(2.5, 2.5, 1.0, 0.0, 0.0)
     fastest = 0.0
     for speed in np.linspace(0.0, 3.0, 3001):
         if is_safe(p, False, tiles, open_to(0), own._replace(v_x=float(speed)), 0.0, 0.0):
@@ -246,13 +247,13 @@ def test_safe_commands_leave_braking_safe_on_rough_ground() -> None:
         )
         angle, speed = rng.uniform(0.0, 6.3), rng.uniform(0.0, 2.0)
         v_x, v_y = speed * math.cos(angle), speed * math.sin(angle)
-        own = State(*rng.uniform(0.5, 7.5, 2), v_x, v_y)
+        own = UgvState(*rng.uniform(0.5, 7.5, 2), v_x, v_y, 0.0)
         u_x, u_y = rng.uniform(-4.0, 4.0, 2)
         if not is_safe(p, False, tiles, open_to(0), own, u_x, u_y):
             continue
         used += 1
         slowed = rng.uniform(0.05, 2.0)
-        then = State(*step_vehicle(*own, u_x, u_y, slowed, 4.0, 0.1)[:4])
+        then = step_ugv(p.kinematics, own, u_x, u_y, (2.0, 4.0), slowed, 0.1)
         stop = brake(then.v_x, then.v_y, 4.0, 0.1)
         assert is_safe(p, False, tiles, open_to(0), then, *stop)
     assert used > 300
@@ -261,7 +262,7 @@ def test_safe_commands_leave_braking_safe_on_rough_ground() -> None:
 def test_late_commands_keep_it_slow_before_rough_ground() -> None:
     tiles = np.full((8, 8), CLEAR, np.uint8)
     tiles[:, 4] = ROUGH
-    fast, near = State(2.0, 2.5, 1.0, 0.0), State(3.8, 2.5, 1.0, 0.0)
+    fast, near = UgvState(2.0, 2.5, 1.0, 0.0, 0.0), UgvState(3.8, 2.5, 1.0, 0.0, 0.0)
     for own, late, safe in ((fast, True, True), (near, False, True), (near, True, False)):
         assert is_safe(_on_tiles(), late, tiles, open_to(0), own, 0.0, 0.0) == safe
     slow = near._replace(v_x=0.4)
@@ -271,7 +272,7 @@ def test_late_commands_keep_it_slow_before_rough_ground() -> None:
 def test_ugv_leaves_its_blocked_tile_and_enters_none() -> None:
     tiles = np.full((8, 8), CLEAR, np.uint8)
     tiles[2, 2] = tiles[2, 3] = BLOCK
-    own, memory = State(2.5, 2.5, 0.0, 0.0), occupancy_grid(8, 8)
+    own, memory = UgvState(2.5, 2.5, 0.0, 0.0, 0.0), occupancy_grid(8, 8)
     memory.tiles[:] = tiles
     ground = open_from(memory, 1.0, 0, own.p_x, own.p_y)
     fast = _on_tiles(max_speed=20.0, max_acceleration=50.0)
@@ -339,12 +340,12 @@ def _parameters(**numbers: Any) -> Any:
     return records(NavigateParameters, [changed]).view(np.recarray)[0]
 
 
-def _step(p: Any, own: State, u: tuple[float, float]) -> State:
-    return State(*step_vehicle(*own, *u, p.max_speed, p.max_acceleration, p.dt)[:4])
+def _step(p: Any, own: UgvState, u: tuple[float, float]) -> UgvState:
+    return step_ugv(p.kinematics, own, *u, (p.max_speed, p.max_acceleration), p.max_speed, p.dt)
 
 
 def _drive(p: Any, memory: Any, goals: Any, ticks: int, start: Any) -> Any:
-    own, track = State(*start, 0.0, 0.0), []
+    own, track = UgvState(*start, 0.0, 0.0, 0.0), []
     for tick in range(ticks):
         own = _step(p, own, navigate_control(p, memory, np.array(goals), tick, own, PLAIN))
         track.append(own)
@@ -419,7 +420,7 @@ def test_it_comes_to_rough_ground_as_slow_as_that_lets_it() -> None:
 
 def test_news_in_every_tick_keeps_no_search_from_its_end() -> None:
     p, memory = _parameters(plan_tiles=15), _ground()
-    own, plans, speeds = State(1.0, 2.5, 0.0, 0.0), set(), []
+    own, plans, speeds = UgvState(1.0, 2.5, 0.0, 0.0, 0.0), set(), []
     far = np.array([9]), np.array([0])
     for tick in range(400):
         record_tiles(memory, *far, np.array([(CLEAR, FOUND)[tick % 2]], np.uint8))
@@ -442,8 +443,8 @@ def test_without_goals_or_without_a_path_it_stands_still() -> None:
 
 def test_the_state_ahead_is_where_the_pending_commands_lead() -> None:
     p, memory = _parameters(), _ground(delay=3)
-    queue, own = [(0.0, 0.0)] * 3, State(1.0, 2.5, 0.0, 0.0)
-    foreseen: dict[int, State] = {}
+    queue, own = [(0.0, 0.0)] * 3, UgvState(1.0, 2.5, 0.0, 0.0, 0.0)
+    foreseen: dict[int, UgvState] = {}
     for tick in range(60):
         foreseen[tick + 3], _ = state_ahead(p, memory, tick, own, PLAIN)
         queue.append(navigate_control(p, memory, np.array(GOAL), tick, own, PLAIN))

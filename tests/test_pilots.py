@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from agents.drivers.compiled import CompiledDriver
 from agents.drivers.dispatch import CODES
-from agents.drivers.waypoints import goal_control
+from agents.drivers.steering import Steering
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.errors import ScenarioError
@@ -31,7 +31,7 @@ from flights import (
 )
 from outrider.running.flying import InProcess, fly, make_pilots
 from properties import PROPERTY
-from sim.models.vehicles import State, goal_reached, norm, step_vehicle
+from sim.models.vehicles import goal_reached, norm, step_vehicle
 from sim.scenario.types import Detections, Uav, Ugv
 from sim.server.flight import Flight
 
@@ -87,11 +87,13 @@ def test_a_goal_stays_until_it_is_nearer_than_the_tolerance(goals, tolerance):
     bounds = {"v_max": 1.0, "u_max": 0.5}
     driver = _driver(tuple(goals), **bounds, tolerance=tolerance)
     rows = _drive(driver, (1.0, 1.0), 1500, **bounds)
-    at = 0
+    limits = Limits(max_speed=1.0, max_acceleration=0.5)
+    at, steering = 0, Steering(ugv_briefing(dt=DT, limits=limits))
     for p_x, p_y, v_x, v_y, u_x, u_y in rows.tolist():
         while at < len(goals) - 1 and goal_reached(p_x, p_y, *goals[at], tolerance):
             at += 1
-        assert (u_x, u_y) == goal_control(State(p_x, p_y, v_x, v_y), *goals[at], 1.0, 0.5, DT)
+        here = UgvObservation(tick=0, time=0.0, position=(p_x, p_y), velocity=(v_x, v_y))
+        assert (u_x, u_y) == steering.to_goal(here, goals[at])
 
 
 @given(st.lists(points, min_size=2, max_size=3))

@@ -14,7 +14,8 @@ from agents.drivers.tile_map import MAPPED, OccupancyGrid
 from sim.compiling.compile import compiled
 from sim.models.ground import UNSEEN, TileArray, edge_within, span, tile_index
 from sim.models.hazards import BLOCK, ROUGH, TOUCH
-from sim.models.vehicles import State, norm, step_vehicle
+from sim.models.kinematics import UgvState, step_ugv
+from sim.models.vehicles import norm
 
 _EXIT_RINGS = 16
 """Largest distance of an exit from blocked tiles [tiles], to bound the search."""
@@ -158,7 +159,7 @@ def is_safe(
     late: bool,
     tiles: TileArray,
     ground: Open,
-    own: State,
+    own: UgvState,
     u_x: float,
     u_y: float,
 ) -> bool:
@@ -169,7 +170,7 @@ def is_safe(
         late: True if commands are delayed: the prediction must then also hold on rough ground.
         tiles: Occupancy grid of the UGV. Shape (rows, columns).
         ground: Kinds of tiles that are open.
-        own: State of the UGV when the command takes effect.
+        own: UgvState of the UGV when the command takes effect.
         u_x, u_y: Command [m/s²].
     """
     tile, v_max, u_max, dt = (
@@ -179,7 +180,7 @@ def is_safe(
         parameters.dt,
     )
     a = own.p_x, own.p_y
-    x, y, w_x, w_y, _, _ = step_vehicle(a[0], a[1], own.v_x, own.v_y, u_x, u_y, v_max, u_max, dt)
+    x, y, w_x, w_y, _ = step_ugv(parameters.kinematics, own, u_x, u_y, (v_max, u_max), v_max, dt)
     turn = a[0] + 0.5 * own.v_x * dt, a[1] + 0.5 * own.v_y * dt
     speed = norm(w_x, w_y)
     e_x, e_y = (w_x / speed, w_y / speed) if speed > 0.0 else (0.0, 0.0)

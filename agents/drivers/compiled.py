@@ -12,6 +12,7 @@ from agents.drivers.dispatch import chosen_driver, drive
 from agents.drivers.parameters import DriverInputs, driver_parameters
 from agents.drivers.pending_stops import PLAIN
 from agents.drivers.planning import path_corners
+from agents.drivers.steering import own_state
 from agents.drivers.tile_map import (
     EXTRA_ROWS,
     IndexArray,
@@ -39,7 +40,6 @@ from sim.compiling.records import struct_of
 from sim.models.ground import CERTIFIED, NO_CLAIM, UNCERTIFIED, tile_index, tile_states, tiles_shape
 from sim.models.hazards import TOUCH
 from sim.models.trajectories import NO_TRAJECTORY
-from sim.models.vehicles import State
 
 MOST_TILES = 1_000_000
 """Largest number of tiles in a UGV's occupancy grid."""
@@ -153,7 +153,7 @@ class CompiledDriver:
         radio = detection_array(detection_rows(observation.radio, self._dt))
         inputs = DriverInputs(
             tick=observation.tick,
-            own=State(*observation.position, *observation.velocity),
+            own=own_state(observation),
             goals=self._route.goals,
             script=self._route.script,
             radio=radio,

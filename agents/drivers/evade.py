@@ -24,8 +24,9 @@ from bus.messages.base import Vector
 from bus.messages.vehicle import UgvBriefing
 from bus.ticks import NO_TICK, first_tick_from, ticks_within
 from sim.compiling.compile import FloatArray, compiled, constant
+from sim.models.kinematics import UgvState
 from sim.models.randomness import WANDER, uniform
-from sim.models.vehicles import State, norm
+from sim.models.vehicles import norm
 
 _SMOOTHING = 1.0  # time constant of the UAV's estimated velocity [s]: differences of estimates are mostly noise
 _FORGOTTEN = 5.0  # age at which the last message is discarded [s]
@@ -102,7 +103,7 @@ def receive_radio(
     radio: FloatArray,
     received: int,
     tick: int,
-    own: State,
+    own: UgvState,
 ) -> None:
     """Update the UAV's position and smoothed velocity from the messages of this tick.
 
@@ -138,7 +139,7 @@ def slot_draw(
 
 @compiled
 def away(
-    ugv: UgvParameters, driver: Parameters, memory: Memory, tick: int, own: State
+    ugv: UgvParameters, driver: Parameters, memory: Memory, tick: int, own: UgvState
 ) -> tuple[float, float]:
     """Return the unit vector away from the UAV's predicted position after the lead."""
     m: Any = memory
@@ -202,13 +203,13 @@ def leave_wall(
 
 
 @compiled
-def off_walls(ugv: UgvParameters, w_x: float, w_y: float, own: State) -> tuple[float, float]:
+def off_walls(ugv: UgvParameters, w_x: float, w_y: float, own: UgvState) -> tuple[float, float]:
     """Return the desired velocity [m/s], or one that first brakes towards a wall that would otherwise be hit.
 
     Args:
         ugv: Constants of the UGV.
         w_x, w_y: Desired velocity [m/s].
-        own: State of the UGV.
+        own: UgvState of the UGV.
     """
     v_x, v_y = own.v_x, own.v_y
     # stopping distance over speed [s]
@@ -228,7 +229,7 @@ def flee(
     x: float,
     y: float,
     tick: int,
-    own: State,
+    own: UgvState,
 ) -> tuple[float, float]:
     """Return the acceleration [m/s²] to full speed in the direction (x, y), along walls and out of corners.
 
@@ -246,7 +247,7 @@ def flee(
     else:
         x, y = leave_wall(ugv, driver, memory, out_x, out_y, tick)
     w_x, w_y = off_walls(ugv, x * driver.speed, y * driver.speed, own)
-    return velocity_control(own.v_x, own.v_y, w_x, w_y, ugv.max_speed, ugv.max_acceleration, ugv.dt)
+    return velocity_control(ugv, own, w_x, w_y)
 
 
 @compiled

@@ -36,8 +36,8 @@ from agents.drivers.waypoints import Memory, waypoint_command
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.ground import tile_index
 from sim.models.hazards import BLOCK, TOUCH
+from sim.models.kinematics import UgvState
 from sim.models.vehicles import (
-    State,
     brake,
     next_goal,
     norm,
@@ -146,7 +146,7 @@ def _slow(parameters: NavigateParameters) -> float:
 
 @compiled
 def _rough_speed(
-    parameters: NavigateParameters, memory: OccupancyGrid, own: State, to_x: float, to_y: float
+    parameters: NavigateParameters, memory: OccupancyGrid, own: UgvState, to_x: float, to_y: float
 ) -> float:
     """Return the largest speed [m/s] that still allows the UGV to slow down before the first rough ground ahead."""
     slow = _slow(parameters)
@@ -171,7 +171,7 @@ def _rough_speed(
 def drive_towards(
     parameters: NavigateParameters,
     memory: OccupancyGrid,
-    own: State,
+    own: UgvState,
     to_x: float,
     to_y: float,
 ) -> tuple[float, float]:
@@ -180,14 +180,14 @@ def drive_towards(
     Args:
         parameters: Parameters of the driver.
         memory: Occupancy grid of the UGV.
-        own: State of the UGV when the command takes effect.
+        own: UgvState of the UGV when the command takes effect.
         to_x, to_y: Point [m].
     """
     late = memory.sent.shape[0] > 2
     ground = open_from(memory, parameters.tile, parameters.bold, own.p_x, own.p_y)
     speed = _rough_speed(parameters, memory, own, to_x, to_y)
     d_x, d_y = to_x - own.p_x, to_y - own.p_y
-    u_x, u_y = goal_control(own, to_x, to_y, speed, parameters.max_acceleration, parameters.dt)
+    u_x, u_y = goal_control(parameters, own, to_x, to_y, speed)
     if is_safe(parameters, late, memory.tiles, ground, own, u_x, u_y):
         return u_x, u_y
     a = own.p_x, own.p_y
@@ -196,9 +196,7 @@ def drive_towards(
         for limit in (speed, min(speed, _slow(parameters))):
             for share in _SHARES:
                 on_x, on_y = own.p_x + share * free * d_x, own.p_y + share * free * d_y
-                u_x, u_y = goal_control(
-                    own, on_x, on_y, limit, parameters.max_acceleration, parameters.dt
-                )
+                u_x, u_y = goal_control(parameters, own, on_x, on_y, limit)
                 if is_safe(parameters, late, memory.tiles, ground, own, u_x, u_y):
                     return u_x, u_y
     return brake(own.v_x, own.v_y, parameters.max_acceleration, parameters.dt)
@@ -235,7 +233,7 @@ def navigate_control(
     memory: OccupancyGrid,
     goals: FloatArray,
     tick: int,
-    own: State,
+    own: UgvState,
     committed: int,
 ) -> tuple[float, float]:
     """Return the command [m/s²] to one goal after the other over the known ground; stop at the last one.
@@ -248,7 +246,7 @@ def navigate_control(
         memory: Occupancy grid with all reports so far; changed in place.
         goals: Goals [m]. Shape (goals, 2).
         tick: Current tick.
-        own: State of the UGV.
+        own: UgvState of the UGV.
         committed: As in `state_ahead`.
     """
     flags, count = memory.flags[0], goals.shape[0]

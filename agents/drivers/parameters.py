@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from agents.drivers.steering import Steering
+from agents.asking import LARGEST
 from bus.errors import ScenarioError
 from bus.messages.vehicle import UgvBriefing
 from bus.registry import DRIVERS, module_of
 from sim.compiling.compile import FloatArray
-from sim.models.vehicles import State
+from sim.models.kinematics import Kinematics, UgvState, kinematics_of
 
 
 class UgvParameters(msgspec.Struct, frozen=True, kw_only=True):
@@ -30,14 +30,16 @@ class UgvParameters(msgspec.Struct, frozen=True, kw_only=True):
     """u_g [m/s²]."""
     goal_tolerance: float
     """Distance below which a goal counts as reached [m]."""
+    kinematics: Kinematics
+    """How it moves: in any direction, or along its heading."""
 
 
 class DriverInputs(NamedTuple):
     """Knowledge of one UGV in a tick: its state, goals and script, and the messages received."""
 
     tick: int
-    own: State
-    """Its position [m] and velocity [m/s]."""
+    own: UgvState
+    """Its position [m], velocity [m/s] and heading [rad]."""
     goals: FloatArray
     """Waypoints [m], in order. Shape (goals, 2)."""
     script: FloatArray
@@ -54,15 +56,17 @@ class DriverInputs(NamedTuple):
 
 def ugv_parameters(briefing: UgvBriefing, *, unbounded: bool) -> UgvParameters:
     """Return the constants of a UGV from its briefing; `unbounded` keeps infinite bounds."""
-    steering = Steering(briefing)
-    v_max, u_max = briefing.limits.numbers if unbounded else (steering.v_max, steering.u_max)
+    v_max, u_max = briefing.limits.numbers
+    if not unbounded:
+        v_max, u_max = min(v_max, LARGEST), min(u_max, LARGEST)
     return UgvParameters(
-        dt=steering.dt,
+        dt=float(briefing.dt),
         width=float(briefing.area.width),
         height=float(briefing.area.height),
         max_speed=v_max,
         max_acceleration=u_max,
         goal_tolerance=float(briefing.goal_tolerance),
+        kinematics=kinematics_of(briefing),
     )
 
 

@@ -11,43 +11,36 @@ from bus.messages.vehicle import MOST_CARRIED
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray
 from sim.models.ground import CERTIFIED, NO_CLAIM, NO_STOP, NOT_OWN, PATH_UNKNOWN
+from sim.models.kinematics import UgvState, step_ugv, ugv_within_walls, wrapped
 from sim.models.trajectories import NO_TRAJECTORY, follow_on, keep_trajectory, trajectory_command
-from sim.models.vehicles import State, brake, norm, step_vehicle, within_walls
+from sim.models.vehicles import brake, norm
 
 PLAIN = -2
 """Replaces the committed trajectory if the receiver executes none: commands take effect as they arrive."""
 
 _AS_PREDICTED = 1e-9
-"""Largest deviation from the predicted state that counts as none [m, m/s]."""
+"""Largest deviation from the predicted state that counts as none [m, m/s, rad]."""
 
 
 @compiled
-def _step(parameters: NavigateParameters, state: State, u_x: float, u_y: float) -> State:
+def _step(parameters: NavigateParameters, state: UgvState, u_x: float, u_y: float) -> UgvState:
     """Return the state after a tick with a command [m/s²]."""
-    p_x, p_y, v_x, v_y, _, _ = step_vehicle(
-        state.p_x,
-        state.p_y,
-        state.v_x,
-        state.v_y,
-        u_x,
-        u_y,
-        parameters.max_speed,
-        parameters.max_acceleration,
-        parameters.dt,
+    speed, acceleration = parameters.max_speed, parameters.max_acceleration
+    return step_ugv(
+        parameters.kinematics, state, u_x, u_y, (speed, acceleration), speed, parameters.dt
     )
-    return State(p_x, p_y, v_x, v_y)
 
 
 @compiled
 def _is_as_predicted(
-    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, own: State, committed: int
+    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, own: UgvState, committed: int
 ) -> bool:
     """Return whether the UGV has moved in the previous tick as the reported trajectory implies.
 
     Rough ground may have slowed it: its velocity may be any share of the predicted one.
     """
     flags, sent = memory.flags[0], memory.sent
-    before = State(flags.p_x, flags.p_y, flags.v_x, flags.v_y)
+    before = UgvState(flags.p_x, flags.p_y, flags.v_x, flags.v_y, flags.heading)
     u_x, u_y = brake(before.v_x, before.v_y, parameters.max_acceleration, parameters.dt)
     if committed == tick - 1:
         started = sent[committed % sent.shape[0]]
@@ -63,12 +56,13 @@ def _is_as_predicted(
     p_x = before.p_x + 0.5 * (before.v_x + v_x) * parameters.dt
     p_y = before.p_y + 0.5 * (before.v_y + v_y) * parameters.dt
     off = max(norm(own.p_x - p_x, own.p_y - p_y), norm(own.v_x - v_x, own.v_y - v_y))
-    return bool(off <= _AS_PREDICTED)
+    turned = abs(wrapped(own.heading - due.heading))
+    return bool(max(off, turned) <= _AS_PREDICTED)
 
 
 @compiled
 def _check_control(
-    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, own: State, committed: int
+    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, own: UgvState, committed: int
 ) -> tuple[bool, bool]:
     """Check that the UGV executes the commands of this driver only. Arguments as in `state_ahead`.
 
@@ -92,13 +86,14 @@ def _check_control(
         flags.since = first
     flags.answered = tick
     flags.p_x, flags.p_y, flags.v_x, flags.v_y = own.p_x, own.p_y, own.v_x, own.v_y
+    flags.heading = own.heading
     return exclusive, predicted
 
 
 @compiled
 def state_ahead(
-    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, own: State, committed: int
-) -> tuple[State, int]:
+    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, own: UgvState, committed: int
+) -> tuple[UgvState, int]:
     """Predict the UGV's state when this tick's command takes effect, and the trajectory committed then.
 
     The function records in `memory.flags` whether the predicted trajectory, and the stop after the loss of any command,
@@ -142,9 +137,7 @@ def state_ahead(
             ahead[0].age += 1
         safe = safe and is_safe(parameters, late, memory.tiles, known, own, u_x, u_y)
         own = _step(parameters, own, u_x, u_y)
-        p_x, v_x = within_walls(own.p_x, own.v_x, parameters.width)
-        p_y, v_y = within_walls(own.p_y, own.v_y, parameters.height)
-        own = State(p_x, p_y, v_x, v_y)
+        own = ugv_within_walls(parameters.kinematics, own, parameters.width, parameters.height)
     claim = CERTIFIED if safe else PATH_UNKNOWN
     memory.flags[0].claim = NO_STOP if plain else claim if exclusive else NOT_OWN
     return own, int(ahead[0].begins)
@@ -152,14 +145,14 @@ def state_ahead(
 
 @compiled
 def update_claim(
-    parameters: NavigateParameters, memory: OccupancyGrid, ahead: State, u_x: float, u_y: float
+    parameters: NavigateParameters, memory: OccupancyGrid, ahead: UgvState, u_x: float, u_y: float
 ) -> None:
     """Update the claim of `state_ahead` for the command of this tick [m/s²].
 
     Args:
         parameters: Parameters of the driver; a bold one claims nothing.
         memory: Changed in place.
-        ahead: State of the UGV when the command takes effect.
+        ahead: UgvState of the UGV when the command takes effect.
         u_x, u_y: Command [m/s²].
     """
     flags, late = memory.flags[0], memory.sent.shape[0] > 2

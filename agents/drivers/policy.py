@@ -2,6 +2,7 @@
 
 import inspect
 import logging
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
@@ -13,7 +14,8 @@ from agents.drivers.steering import Steering
 from agents.drivers.tile_map import OccupancyGrid
 from bus.errors import ScenarioError
 from bus.messages.vehicle import UgvBriefing, UgvObservation
-from bus.observations import UGV, Row, clipped
+from bus.observations import Row, clipped, ugv_table
+from bus.registry import DEFAULT_KINEMATICS
 from sim.models.ground import TileArray, tile_patches
 from sim.models.vehicles import next_goal
 
@@ -56,17 +58,20 @@ class UgvRows:
         self._tolerance = float(briefing.goal_tolerance)
         self._reached = 0
         self._area, self._dt = briefing.area, float(briefing.dt)
+        self._table = ugv_table(steers=briefing.kinematics != DEFAULT_KINEMATICS)
 
     def row(self, observation: UgvObservation) -> Row:
-        """Return the row of this tick. Shape (8,), float64."""
+        """Return the row of this tick. Shape (entries,), float64."""
         (x, y), (v_x, v_y), goals = observation.position, observation.velocity, self._goals
         self._reached, _ = next_goal(goals, self._reached, self._tolerance, x, y)
         underway, goal_x, goal_y = self._reached < len(goals), 0.0, 0.0
         if len(goals):
             goal_x, goal_y = goals[min(self._reached, len(goals) - 1)].tolist()
         state = observation.time, x, y, v_x, v_y
-        row = np.array((*state, float(underway), goal_x, goal_y), dtype=np.float64)
-        return clipped(UGV, row, self._area, self._dt)
+        heading = observation.heading
+        ahead = () if heading is None else (math.cos(heading), math.sin(heading))
+        row = np.array((*state, float(underway), goal_x, goal_y, *ahead), dtype=np.float64)
+        return clipped(self._table, row, self._area, self._dt)
 
 
 class UgvTiles:

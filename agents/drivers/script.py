@@ -35,4 +35,4 @@ def command(
     if started == 0:
         return brake(own.v_x, own.v_y, ugv.max_acceleration, ugv.dt)
     w_x, w_y = script[started - 1, 1], script[started - 1, 2]
-    return velocity_control(own.v_x, own.v_y, w_x, w_y, ugv.max_speed, ugv.max_acceleration, ugv.dt)
+    return velocity_control(ugv, own, w_x, w_y)

@@ -1,85 +1,119 @@
-"""Steering shared by the drivers: to a velocity, to a goal or to rest, within the UGV's bounds."""
+"""Steering shared by the drivers: to a velocity, to a goal or to rest, within the UGV's bounds and kinematics."""
 
 from agents.asking import LARGEST
+from agents.drivers.manoeuvres import move, turn_to_goal, turn_to_velocity
+from agents.drivers.parameters import UgvParameters, ugv_parameters
 from bus.messages.vehicle import UgvBriefing, UgvObservation
 from sim.compiling.compile import compiled
-from sim.models.vehicles import State, brake, clip_norm, norm, speed_to_stop_within
+from sim.compiling.records import records
+from sim.models.kinematics import POINT, UgvState
+from sim.models.vehicles import brake, clip_norm, norm, speed_to_stop_within
 
 
 @compiled
 def velocity_control(
-    v_x: float, v_y: float, w_x: float, w_y: float, v_max: float, u_max: float, dt: float
+    ugv: UgvParameters, own: UgvState, w_x: float, w_y: float
 ) -> tuple[float, float]:
-    r"""Return the acceleration [m/s²] straight towards a desired velocity.
+    r"""Return the acceleration [m/s²] towards a desired velocity.
+
+    A point accelerates straight towards it:
 
     $$ u = clip_{u_{max}}\left(\frac{clip_{v_{max}}(w) - v}{dt}\right) $$
 
     The next velocity lies between v and a vector within v_max: if v keeps the bound, so does the next velocity.
 
     Args:
-        v_x, v_y: Velocity [m/s].
+        ugv: Constants of the UGV.
+        own: Its state.
         w_x, w_y: Desired velocity [m/s], of any finite length.
-        v_max, u_max: Bounds [m/s], [m/s²].
-        dt: Length of a tick [s].
     """
-    w_x, w_y = clip_norm(w_x, w_y, v_max)
-    return clip_norm((w_x - v_x) / dt, (w_y - v_y) / dt, u_max)
+    if ugv.kinematics.kind != POINT:
+        return turn_to_velocity(ugv, own, w_x, w_y)
+    w_x, w_y = clip_norm(w_x, w_y, ugv.max_speed)
+    return clip_norm((w_x - own.v_x) / ugv.dt, (w_y - own.v_y) / ugv.dt, ugv.max_acceleration)
 
 
 @compiled
 def goal_control(
-    own: State, goal_x: float, goal_y: float, v_max: float, u_max: float, dt: float
+    ugv: UgvParameters, own: UgvState, goal_x: float, goal_y: float, speed: float
 ) -> tuple[float, float]:
-    """Return the stabilizing control f(p_g, goal) [m/s²]: straight, as fast as the bounds allow, braking in time.
+    """Return the stabilizing control f(p_g, goal) [m/s²]: as fast as the bounds allow, braking in time.
+
+    A point drives straight to the goal.
 
     Args:
-        own: State of the UGV.
+        ugv: Constants of the UGV.
+        own: Its state.
         goal_x, goal_y: Goal [m].
-        v_max, u_max: Bounds [m/s], [m/s²].
-        dt: Length of a tick [s].
+        speed: Maximum speed [m/s].
     """
+    if ugv.kinematics.kind != POINT:
+        return turn_to_goal(ugv, own, goal_x, goal_y, speed)
     d_x, d_y = goal_x - own.p_x, goal_y - own.p_y
     distance = norm(d_x, d_y)
     w_x, w_y = 0.0, 0.0
     if distance > 0.0:
         e_x, e_y = d_x / distance, d_y / distance
         # half of the next tick is driven at the old speed
-        rest = distance - 0.5 * dt * max(own.v_x * e_x + own.v_y * e_y, 0.0)
-        speed = min(v_max, speed_to_stop_within(rest, u_max, dt))
-        w_x, w_y = e_x * speed, e_y * speed
-    return clip_norm((w_x - own.v_x) / dt, (w_y - own.v_y) / dt, u_max)
+        rest = distance - 0.5 * ugv.dt * max(own.v_x * e_x + own.v_y * e_y, 0.0)
+        fastest = min(speed, speed_to_stop_within(rest, ugv.max_acceleration, ugv.dt))
+        w_x, w_y = e_x * fastest, e_y * fastest
+    return clip_norm((w_x - own.v_x) / ugv.dt, (w_y - own.v_y) / ugv.dt, ugv.max_acceleration)
+
+
+def own_state(observation: UgvObservation) -> UgvState:
+    """Return the state of a UGV in an observation."""
+    heading = observation.heading
+    return UgvState(
+        *observation.position, *observation.velocity, 0.0 if heading is None else heading
+    )
 
 
 class Steering:
-    """Stateless conversion of a driver's request into an acceleration within both bounds.
+    """Stateless conversion of a driver's request into an acceleration within the UGV's bounds.
 
     Args:
         briefing: Briefing of the UGV.
     """
 
     def __init__(self, briefing: UgvBriefing) -> None:
-        v_max, u_max = briefing.limits.numbers
-        self.v_max = min(v_max, LARGEST)
+        own = ugv_parameters(briefing, unbounded=False)
+        self.v_max = own.max_speed
         """Maximum speed [m/s]."""
-        self.u_max = min(u_max, LARGEST)
+        self.u_max = own.max_acceleration
         """Maximum acceleration [m/s²]."""
-        self.dt = float(briefing.dt)
+        self.dt = own.dt
         """Length of a tick [s]."""
+        self.turns = own.kinematics.kind != POINT
+        """True if the UGV has a heading and cannot move sideways."""
+        self._ugv = records(UgvParameters, [own])[0]
 
     def to_velocity(
         self, observation: UgvObservation, wanted: tuple[float, float]
     ) -> tuple[float, float]:
         """Return the acceleration [m/s²] towards a desired velocity [m/s], which is shortened to v_max."""
-        (v_x, v_y), (w_x, w_y) = observation.velocity, wanted
-        return velocity_control(v_x, v_y, float(w_x), float(w_y), self.v_max, self.u_max, self.dt)
+        w_x, w_y = wanted
+        return velocity_control(self._ugv, own_state(observation), float(w_x), float(w_y))
+
+    def to_twist(
+        self, observation: UgvObservation, speed: float, turn_rate: float
+    ) -> tuple[float, float]:
+        """Return the acceleration [m/s²] towards a speed along the heading and a turn rate, of a UGV that steers.
+
+        Args:
+            observation: Observation of the UGV.
+            speed: Speed [m/s]; negative: in reverse.
+            turn_rate: Change of the heading per second [rad/s]; positive: to the left.
+        """
+        speed = max(-self.v_max, min(float(speed), self.v_max))
+        return move(self._ugv, own_state(observation), speed, float(turn_rate) * self.dt, 1.0)
 
     def to_goal(
         self, observation: UgvObservation, goal: tuple[float, float]
     ) -> tuple[float, float]:
         """Return the acceleration [m/s²] towards a goal [m], as in the paper's driver."""
-        own = State(*observation.position, *observation.velocity)
         x, y = float(goal[0]), float(goal[1])
-        return goal_control(own, x, y, self.v_max, self.u_max, self.dt)
+        return goal_control(self._ugv, own_state(observation), x, y, self.v_max)
 
     def to_rest(self, observation: UgvObservation) -> tuple[float, float]:
         """Return the acceleration [m/s²] that stops the UGV as soon as possible."""

@@ -6,10 +6,11 @@ from bus.ticks import ticks_within
 
 
 class TeleopDriver:
-    """Driver that executes the operator's last message: a velocity, a goal, or braking.
+    """Driver that executes the operator's last message: a velocity, a speed and a turn rate, a goal, or braking.
 
     The UGV always keeps its bounds: a velocity above v_max is shortened, and a goal is approached as by the paper's
-    driver. If a message has both, the velocity wins. A message is valid for `command_timeout` seconds; after that the
+    driver. A UGV that does not steer ignores speeds and turn rates. Of several inputs in a message, the first of this
+    list wins; a speed comes before a velocity. A message is valid for `command_timeout` seconds; after that the
     UGV brakes and stands until the operator's next message.
 
     The driver ignores messages sent before it took over, so it starts by braking. It ignores obstacles: Q has walls.
@@ -28,6 +29,8 @@ class TeleopDriver:
         message = self._message
         if message is None or observation.tick - self._received > self._timeout:
             return self._steering.to_rest(observation)
+        if message.speed is not None and self._steering.turns:
+            return self._steering.to_twist(observation, message.speed, message.turn_rate)
         if message.velocity is not None:
             return self._steering.to_velocity(observation, message.velocity)
         if message.goal is not None:

@@ -62,7 +62,8 @@ class GridFlags(NamedTuple):
     p_y: float = 0.0
     v_x: float = 0.0
     v_y: float = 0.0
-    """State of the UGV in the tick `answered`: position [m] and velocity [m/s]."""
+    heading: float = 0.0
+    """State of the UGV in the tick `answered`: position [m], velocity [m/s] and heading [rad]."""
 
 
 class OccupancyGrid(NamedTuple):

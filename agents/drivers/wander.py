@@ -16,8 +16,9 @@ from agents.drivers.steering import goal_control
 from bus.messages.base import Vector
 from bus.messages.vehicle import UgvBriefing
 from sim.compiling.compile import compiled
+from sim.models.kinematics import UgvState
 from sim.models.randomness import FIRST, SECOND, WANDER, uniform
-from sim.models.vehicles import State, goal_reached, speed_to_stop_within, stopping_distance
+from sim.models.vehicles import goal_reached, speed_to_stop_within, stopping_distance
 
 
 def wander_pace(
@@ -63,7 +64,7 @@ def parameters(ugv: UgvParameters, briefing: UgvBriefing) -> Parameters:
 
 @compiled
 def wander_command(
-    ugv: UgvParameters, driver: Parameters, memory: Memory, tick: int, own: State
+    ugv: UgvParameters, driver: Parameters, memory: Memory, tick: int, own: UgvState
 ) -> tuple[float, float]:
     """Return the command [m/s²] to a random goal; draw the next goal when it is reached.
 
@@ -75,7 +76,7 @@ def wander_command(
         goal[0] = margin + (ugv.width - 2.0 * margin) * uniform(key, WANDER, tick, FIRST)
         goal[1] = margin + (ugv.height - 2.0 * margin) * uniform(key, WANDER, tick, SECOND)
         memory.has_goal = True
-    return goal_control(own, goal[0], goal[1], driver.speed, ugv.max_acceleration, ugv.dt)
+    return goal_control(ugv, own, goal[0], goal[1], driver.speed)
 
 
 @compiled

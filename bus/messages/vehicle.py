@@ -41,6 +41,7 @@ from bus.messages.scenario import (
     Sensor,
 )
 from bus.messages.team import Endurance, Request, Role, Team, TeamMessage
+from bus.registry import DEFAULT_KINEMATICS
 
 MOST_CARRIED = 6
 """Maximum number of backup trajectories in one command: its own and earlier ones that have not started. It keeps a
@@ -158,6 +159,12 @@ class UgvBriefing(VehicleBriefing, frozen=True, kw_only=True):
     """Distance epsilon below which a goal counts as reached [m]."""
     script: tuple[ScriptStep, ...] = ()
     """Steps of the driver `script`, by increasing time."""
+    kinematics: Name = DEFAULT_KINEMATICS
+    """How it moves, one of `bus.registry.KINEMATICS`."""
+    track: Positive | None = None
+    """Distance between the wheels of a differential drive [m]."""
+    max_curvature: Positive | None = None
+    """Largest curvature of the path of an Ackermann vehicle [1/m]."""
     command_timeout: NonNegative = 0.5
     """Time for which an operator's last message stays in effect [s]; then the driver `teleop` brakes."""
     ground: UgvGround | None = None
@@ -233,12 +240,16 @@ class UavObservation(VehicleObservation, frozen=True, kw_only=True):
 
 
 class Teleoperation(Message, frozen=True, kw_only=True):
-    """Input of an operator to a UGV: a velocity or a goal; neither: brake."""
+    """Input of an operator to a UGV: a velocity, a speed and a turn rate, or a goal; none of them: brake."""
 
     operator: Text
     """Name of the operator."""
     velocity: Vector | None = None
     """Desired velocity [m/s]."""
+    speed: Coordinate | None = None
+    """Desired speed along the heading [m/s], negative in reverse; only of a UGV that steers."""
+    turn_rate: Coordinate = 0.0
+    """Desired change of the heading, with `speed` [rad/s]; positive: to the left."""
     goal: Vector | None = None
     """Goal [m]."""
 
@@ -246,6 +257,8 @@ class Teleoperation(Message, frozen=True, kw_only=True):
 class UgvObservation(VehicleObservation, frozen=True, kw_only=True):
     """Observation of a UGV at a tick."""
 
+    heading: Coordinate | None = None
+    """Its heading [rad], from east to north; None: it moves in any direction."""
     radio: tuple[RelativeInformation, ...] = ()
     """Radio messages that arrived at this tick."""
     map_updates: tuple[MapUpdate, ...] = ()

@@ -10,6 +10,7 @@ from bus.messages.team import MOST_UAVS
 from bus.observations import (
     ALTITUDE,
     GRADIENT,
+    HEADING,
     UAV,
     UGV,
     Entry,
@@ -65,6 +66,7 @@ def _body_without(table: Table, omit: Sequence[str]) -> Table:
 
 _BODY_OF = (
     (UGV, UGV_BODY),
+    (UGV + HEADING, UGV_BODY),
     *(
         (without(UAV + more, omit), _body_without(UAV_BODY + more, omit))
         for more in _FURTHER
@@ -84,14 +86,13 @@ def _is_row(table: Table, space: spaces.Space[Any]) -> bool:
 
 
 class Egocentric(Transformation):
-    """Vehicle frame: origin at the vehicle, x along its velocity, y to the left.
+    """Vehicle frame: origin at the vehicle, x along its velocity, or its heading if it steers, y to the left.
 
-    Below the speed `rest` the vehicle keeps its last heading; an episode starts with heading east. Rows become
-    `UAV_BODY` or `UGV_BODY`. A gradient and relative positions that follow them are rotated, altitude, climb rate
-    and the team's other entries are not. Actions are
-    accelerations [m/s²] in this frame, by the heading of the last observation; with an altitude, a vertical one
-    follows. The coverage picture is rotated: columns ahead, rows to the left, nearest sampling, 1 outside. The picture
-    of the tiles is not rotated.
+    Below the speed `rest`, a vehicle that does not steer keeps its last heading; an episode starts with heading east.
+    Rows become `UAV_BODY` or `UGV_BODY`. A gradient and relative positions that follow them are rotated, altitude,
+    climb rate and the team's other entries are not. Actions are accelerations [m/s²] in this frame, by the heading of
+    the last observation; with an altitude, a vertical one follows. The coverage picture is rotated: columns ahead, rows
+    to the left, nearest sampling, 1 outside. The picture of the tiles is not rotated.
 
     Args:
         rest: Speed below which the heading is frozen [m/s].
@@ -150,8 +151,11 @@ class Egocentric(Transformation):
         whole = observation if isinstance(observation, dict) else {"row": observation}
         old = by_name(self._table, whole["row"].astype(np.float64))
         velocity, speed = np.stack((old["vx"], old["vy"]), -1), np.hypot(old["vx"], old["vy"])
-        turning = turning & (speed >= self._rest)
-        self._heading[turning] = velocity[turning] / speed[turning, None]
+        if "heading_x" in old:  # a UGV that steers
+            self._heading = np.stack((old["heading_x"], old["heading_y"]), -1)
+        else:
+            turning = turning & (speed >= self._rest)
+            self._heading[turning] = velocity[turning] / speed[turning, None]
         row = self._row(old | {"speed": speed}).astype(self._box.dtype)
         row = np.clip(row, self._box.low, self._box.high)
         if not isinstance(observation, dict):

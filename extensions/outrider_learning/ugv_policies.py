@@ -11,11 +11,11 @@ import numpy as np
 
 from agents.drivers.policy import RowPolicy
 from bus.errors import ScenarioError, error_with_place, shortened
-from bus.observations import UGV, Row, names
+from bus.observations import HEADING, UGV, Row, names
 from bus.policies import policy_forms
 
-_ROW, _ACTION = (len(UGV),), (2,)
-"""Shapes of observation and action."""
+_ROWS, _ACTION = ((len(UGV),), (len(UGV + HEADING),)), (2,)
+"""Shapes of observations, of a point and of a UGV that steers, and of an action."""
 
 
 def _reason(error: BaseException) -> str:
@@ -50,10 +50,10 @@ def _file(path: str, where: str, forms: str = "") -> str:
 
 def _check_shapes(row: object, action: object, where: str) -> None:
     """Reject a policy of another agent; None is an unknown shape."""
-    if row not in (None, _ROW) or action not in (None, _ACTION):
+    if row not in (None, *_ROWS) or action not in (None, _ACTION):
         raise ScenarioError(
             f"{where}: observations of shape {row} and actions of shape {action}; "
-            f"allowed: {_ROW}, the UGV's row, and {_ACTION}, its acceleration"
+            f"allowed: {_ROWS[0]}, the UGV's row, or {_ROWS[1]} if it steers, and {_ACTION}, its acceleration"
         )
 
 
@@ -80,7 +80,8 @@ def _check_units(row: object, where: str) -> None:
     low = getattr(row, "low", None)
     if low is None:
         return
-    below = np.array([name in {"vx", "vy"} for name in names(UGV)])
+    signed = {"vx", "vy", *names(HEADING)}
+    below = np.array([name in signed for name in names(UGV + HEADING)][: len(low)])
     if (np.isfinite(low) & ((low < 0.0) != below)).any():
         raise ScenarioError(
             f"{where}: observations from {low.tolist()} on are not rows in SI units; allowed: rows of the "
@@ -166,7 +167,7 @@ def load_torch(path: str, where: str) -> RowPolicy:
 
 
 _ONNX_TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
-_ONNX_SHAPES = ([*_ROW], [1, *_ROW])
+_ONNX_SHAPES = tuple(shape for row in _ROWS for shape in ([*row], [1, *row]))
 
 
 def _may_be(declared: list[Any], shape: list[int]) -> bool:

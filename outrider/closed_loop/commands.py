@@ -31,7 +31,6 @@ from outrider.closed_loop.arrays import (
     inputs_of,
     law_of,
     memory_of,
-    reference_of,
 )
 from outrider.closed_loop.teams import (
     Command,
@@ -45,6 +44,7 @@ from sim.compiling.records import RecordArray, row_of
 from sim.engine.ground_state import GroundState
 from sim.engine.mission import goals_of, keeps_clearance, record_claim
 from sim.engine.monitor import Claim, record_decision
+from sim.engine.motion import ugv_state
 from sim.env.actions import REQUEST
 from sim.models.vehicles import State
 
@@ -224,7 +224,7 @@ def _drive(
     radio, arrived = changing.inboxes[world, ugv], changing.arrived[world, ugv]
     committed = batch.flown[world, vehicle, 0].begins if one.follows_trajectories else PLAIN
     grid = grid_of(changing.grids, fixed.late, world, ugv)
-    inputs = DriverInputs(tick, reference_of(one), goals, script, radio, arrived, grid, committed)
+    inputs = DriverInputs(tick, ugv_state(one), goals, script, radio, arrived, grid, committed)
     one.outgoing[0], one.outgoing[1] = drive(driver_of(pilots, world, ugv), inputs)
     if ground is not None:
         record_claim(ground.missions[world], ugv, grid.flags[0].claim)

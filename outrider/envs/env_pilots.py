@@ -103,7 +103,8 @@ class _EnvPilots:
             fields |= {"detections": world.received(uav), "buildings": world.discovered(uav)}
             return pilot.act(UavObservation(**fields))
         radio, blocks = _radioed(world, self._env.worlds.loop.batch, self._escorts[name])
-        return pilot.act(UgvObservation(**fields, radio=radio, map_updates=blocks))
+        heading = world.heading(row)
+        return pilot.act(UgvObservation(**fields, heading=heading, radio=radio, map_updates=blocks))
 
 
 def pilots(

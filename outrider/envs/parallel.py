@@ -17,7 +17,7 @@ from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
 from bus.messages.links import LinkStatus
 from bus.messages.vehicle import Briefing, UavCommand, UgvCommand
-from bus.observations import ALTITUDE, UAV, UGV, with_tables
+from bus.observations import ALTITUDE, HEADING, UAV, UGV, with_tables
 from outrider.envs.worlds import Worlds
 from sim.engine.briefing import briefing
 from sim.engine.run_keys import check_secret
@@ -44,7 +44,12 @@ def _acceleration(action: Action, length: int) -> npt.ArrayLike:
 
 
 @with_tables(
-    {"A UAV observes": UAV, "then, if it has an altitude": ALTITUDE, "A UGV observes": UGV}
+    {
+        "A UAV observes": UAV,
+        "then, if it has an altitude": ALTITUDE,
+        "A UGV observes": UGV,
+        "then, if it steers": HEADING,
+    }
 )
 class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     """A UAV escorts a UGV, covers as much ground around it as possible, and never loses sight of it.
@@ -53,7 +58,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     exceeds the bound of (1) is shortened. A pilot's command is also a valid action. An observation is the vehicle's own
     row and nothing else; the complete true state is in `state()`. On ground with hazards a UGV's observation is a
     dictionary: `row`, and `tiles`, a picture of its occupancy grid. `docs/reference/environment.md` shows the entries
-    of all rows; in code, `bus.observations` has them (`UAV`, `ALTITUDE`, `UGV`).
+    of all rows; in code, `bus.observations` has them (`UAV`, `ALTITUDE`, `UGV`, `HEADING`).
 
     All agents end together. `bus.observations.SYMBOLS` explains the letters of the ranges.
 

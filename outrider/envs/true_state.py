@@ -4,6 +4,7 @@ import numpy as np
 
 from bus.observations import (
     ALTITUDE,
+    HEADING,
     STATE,
     TEAM_STATE,
     UAV,
@@ -19,12 +20,13 @@ from sim.compiling.compile import FloatArray
 from sim.env.observation import Array
 from sim.env.spaces import box, extent_of
 from sim.models.field import coverage_error, coverage_shares
+from sim.scenario.kinematics import steers
 from sim.scenario.types import Scenario, Uav, Ugv
 
 
 def _table(vehicle: Uav | Ugv, *, teamed: bool) -> Table:
     if isinstance(vehicle, Ugv):
-        return UGV_STATE
+        return UGV_STATE + (HEADING if steers(vehicle) else ())
     own = UAV_STATE + (() if vehicle.initial_altitude is None else ALTITUDE)
     return own + (TEAM_STATE if teamed else ())
 
@@ -66,7 +68,8 @@ class TrueState:
             if name in loop.uavs:
                 parts.append(self._uav(number, loop.uavs.index(name), time))
             else:
-                parts.append(as_rows(rows.ugv_rows)[:, loop.ugvs.index(name), 1:])
+                end = 1 + len(self._tables[number])
+                parts.append(as_rows(rows.ugv_rows)[:, loop.ugvs.index(name), 1:end])
         state = np.concatenate(parts, axis=1).astype(self.space.dtype)
         return np.clip(state, self.space.low, self.space.high)
 

@@ -156,7 +156,8 @@ class Worlds:
         loop, form = self.loop, self._format
         if name in loop.ugvs:
             known = loop.known_tiles(name) if form.tile_patch else None
-            row = as_rows(loop.state.rows.ugv_rows)[:, loop.ugvs.index(name)]
+            rows, entries = as_rows(loop.state.rows.ugv_rows), form.ugv_entries[name]
+            row = rows[:, loop.ugvs.index(name), :entries]
             return form.shown(name, row, known=known)
         coverage = loop.patch(name) if name in form.pictured else None
         row = as_rows(loop.state.rows.uav_rows)[:, loop.uavs.index(name), form.columns[name]]

@@ -84,6 +84,8 @@ def _put(flight: Flight, truth: Truth) -> None:
         world.position[k] = vehicle.position
         world.velocity[k] = vehicle.velocity
         world.acceleration[k] = vehicle.acceleration
+        if vehicle.heading is not None:
+            world.vehicles["heading"][k] = vehicle.heading
         if vehicle.altitude is not None:
             world.vertical["altitude"][k] = vehicle.altitude
             world.vertical["rate"][k] = vehicle.climb_rate

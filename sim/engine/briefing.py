@@ -170,6 +170,9 @@ def ugv_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
     return UgvBriefing(
         **_common(scenario, ugv, seed, secret),
         driver=ugv.driver,
+        kinematics=ugv.kinematics,
+        track=ugv.track,
+        max_curvature=ugv.max_curvature,
         goals=ugv.goals,
         goal_tolerance=ugv.goal_tolerance,
         script=ugv.script,

@@ -12,15 +12,17 @@ import numpy as np
 from bus.registry import BODIES
 from bus.ticks import MOST_TICKS
 from sim.compiling.compile import FloatArray, IntArray
-from sim.compiling.records import Pair, RecordArray, record_type, records
+from sim.compiling.records import Pair, RecordArray, fill, record_type, records
 from sim.engine.briefing import monitored_bounds, ugv_carries
 from sim.engine.space_state import TownState, TownTables, cameras_of
 from sim.models.altitude import VerticalState, vertical_state
 from sim.models.field import cover, empty_coverage
 from sim.models.inner_loop import Disturbance
+from sim.models.kinematics import Kinematics, kinematics_of
 from sim.models.randomness import RUN_PURPOSES, WordArray
 from sim.models.sensor import SensorParameters, sensor_parameters
 from sim.models.wind import DisturbanceParameters
+from sim.scenario.kinematics import initial_heading
 from sim.scenario.types import Scenario, Uav, Ugv, altitude_limits
 
 
@@ -104,6 +106,9 @@ class Vehicle:
     reference_position: Pair
     reference_velocity: Pair
     """Reference state [m], [m/s]."""
+    kinematics: Kinematics
+    heading: float
+    """Kinematics of a UGV, and its heading [rad]; 0 for a point."""
     acceleration: Pair
     """Acceleration applied in the last tick, after the bounds [m/s²]."""
     command: Pair
@@ -207,6 +212,9 @@ def first_vehicles(scenario: Scenario) -> RecordArray:
             row["vertical"] = vertical_state(altitude_limits(scenario, one))[0]
         row["position"] = row["reference_position"] = one.position
         row["velocity"] = row["reference_velocity"] = one.velocity
+        if isinstance(one, Ugv):
+            fill(row["kinematics"], kinematics_of(one))
+            row["heading"] = initial_heading(one)
     vehicles["command_tick"] = vehicles["outgoing_tick"] = vehicles["outgoing_trajectory"] = -1
     vehicles["detection"] = math.nan
     return vehicles

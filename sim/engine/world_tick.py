@@ -11,6 +11,7 @@ from sim.compiling.records import RecordArray, row_of
 from sim.engine.ground_state import GroundState
 from sim.engine.ground_tick import drive_on, perceive_ground, store_positions
 from sim.engine.mission import record_mission
+from sim.engine.motion import move_vehicles
 from sim.engine.space_tick import (
     climb_all,
     discover,
@@ -24,46 +25,11 @@ from sim.models.field import coverage_error
 from sim.models.inner_loop import step_error
 from sim.models.randomness import DISTURBANCE, key_of
 from sim.models.trajectories import NO_TRAJECTORY, follow_on, trajectory_command, waited
-from sim.models.vehicles import brake, norm, step_vehicle, within_walls
+from sim.models.vehicles import brake, norm
 from sim.models.wind import draw_disturbance
 
 WHOLE, BEGIN, END = range(3)
 """Parts of a tick: both at once, or each of `begin_world_tick` and `end_world_tick` around Python's bodies."""
-
-
-@compiled
-def _step(numbers: WorldParameters, vehicle: Vehicle, max_speed: float) -> None:
-    """Advance the reference state of a vehicle by one tick, (1)."""
-    position, velocity = vehicle.reference_position, vehicle.reference_velocity
-    p_x, p_y, v_x, v_y, u_x, u_y = step_vehicle(
-        position[0],
-        position[1],
-        velocity[0],
-        velocity[1],
-        vehicle.command[0],
-        vehicle.command[1],
-        max_speed,
-        vehicle.max_acceleration,
-        numbers.dt,
-    )
-    position[0], velocity[0] = within_walls(p_x, v_x, numbers.width)
-    position[1], velocity[1] = within_walls(p_y, v_y, numbers.height)
-    vehicle.acceleration[0], vehicle.acceleration[1] = u_x, u_y
-
-
-@inlined
-def _move(
-    numbers: WorldParameters, vehicles: RecordArray, ground: GroundState | None, world: int
-) -> None:
-    """Move every vehicle under its command, (1)."""
-    for v in range(vehicles.shape[1]):
-        vehicle = vehicles[world, v]
-        speed = vehicle.max_speed
-        if ground is not None:
-            pace = ground.pace[world, v]
-            if pace < 1.0:
-                speed = speed * pace if pace > 0.0 else 0.0  # the speed may be infinite
-        _step(numbers, vehicle, speed)
 
 
 @compiled
@@ -261,7 +227,7 @@ def move_references(
     if ground is not None:
         store_positions(ground, state, world)
     store_uav_positions(state, tables.cameras, tables.escorts, world)
-    _move(numbers, state.vehicles, ground, world)
+    move_vehicles(numbers, state.vehicles, ground, world)
     climb_all(numbers, state, tables.cameras, tables.escorts, world)
     if ground is not None:
         drive_on(numbers, ground, state, world)

@@ -17,12 +17,14 @@ from bus.observations import (
     bounds,
     names,
     team_table,
+    ugv_table,
     without,
 )
 from sim.env.patch import check_tile_patch, given_patch
 from sim.env.settings import Settings
 from sim.env.spaces import box, extent_of
 from sim.models.ground import OUTSIDE, TileArray, tile_patches
+from sim.scenario.kinematics import steers
 from sim.scenario.team import mates_of
 from sim.scenario.types import Scenario, Uav, Ugv
 
@@ -119,6 +121,8 @@ class ObservationFormat:
         """Columns of each UAV's row in `sim.env.rows.RowState.uav_rows`; the entries of its team follow."""
         self.team_entries = {name: len(team_table(count)) for name, count in self._mates.items()}
         """Entries of each UAV's row about its team; 0: it has none."""
+        self.ugv_entries = {ugv.name: len(ugv_table(steers=steers(ugv))) for ugv in scenario.ugv}
+        """Entries of each UGV's row in `sim.env.rows.RowState.ugv_rows`."""
         self._bounds = {name: _row_bounds(space) for name, space in self.spaces.items()}
 
     def _table(self, uav: Uav) -> Table:
@@ -133,7 +137,8 @@ class ObservationFormat:
         own = self._settings[vehicle.name]
         dtype: Any = own.dtype
         if isinstance(vehicle, Ugv):
-            row, side = box(*bounds(UGV, extent), dtype), self.tile_patch
+            table = ugv_table(steers=steers(vehicle))
+            row, side = box(*bounds(table, extent), dtype), self.tile_patch
             tiles = spaces.Box(0, OUTSIDE, (side, side), np.uint8)
             return spaces.Dict({"row": row, "tiles": tiles}) if side else row
         patch = given_patch(own.coverage_patch)

@@ -3,11 +3,12 @@
 In each tick, after the world's own tick and measurement, call `advance_rows`; call `observe_rows` if rows are needed.
 """
 
+import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from bus.observations import ALTITUDE, GRADIENT, UAV, UGV, record_type
+from bus.observations import ALTITUDE, GRADIENT, HEADING, UAV, UGV, record_type
 from sim.channel.link_records import ARRIVED
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
 from sim.compiling.records import RecordArray, fresh, records
@@ -98,7 +99,7 @@ class RowState(NamedTuple):
     uav_rows: RecordArray
     """`bus.observations.UAV`, `ALTITUDE`, and `GRADIENT`, which the caller fills. Shape (worlds, UAVs)."""
     ugv_rows: RecordArray
-    """`bus.observations.UGV`. Shape (worlds, UGVs)."""
+    """`bus.observations.UGV`, and `HEADING`, which is east for a point. Shape (worlds, UGVs)."""
     terminated: IntArray
     truncated: IntArray
     """1 if the episode has ended so. Shape (worlds,)."""
@@ -140,7 +141,7 @@ def row_state(tables: RowTables, worlds: int) -> RowState:
     return RowState(
         standings=fresh(Standing, (worlds, vehicles)),
         uav_rows=np.zeros((worlds, vehicles - ugvs), dtype=record_type(UAV + ALTITUDE + GRADIENT)),
-        ugv_rows=np.zeros((worlds, ugvs), dtype=record_type(UGV)),
+        ugv_rows=np.zeros((worlds, ugvs), dtype=record_type(UGV + HEADING)),
         terminated=np.zeros(worlds, dtype=np.int64),
         truncated=np.zeros(worlds, dtype=np.int64),
     )
@@ -348,6 +349,7 @@ def _observe_ugv(bt: BatchTables, bs: BatchState, state: RowState, world: int, u
     row.time = bs.ticks[world] * bt.world[0].dt
     row.x, row.y = vehicle.position[0], vehicle.position[1]
     row.vx, row.vy = vehicle.velocity[0], vehicle.velocity[1]
+    row.heading_x, row.heading_y = math.cos(vehicle.heading), math.sin(vehicle.heading)
     count = goals.shape[0]
     row.underway, row.goal_x, row.goal_y = 1.0 if goal < count else 0.0, 0.0, 0.0
     if count > 0:

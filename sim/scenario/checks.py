@@ -37,6 +37,7 @@ from sim.scenario.ground_checks import (
     starts_and_goals_are_free,
     tiles_fit_area,
 )
+from sim.scenario.kinematics import kinematics_are_possible
 from sim.scenario.laws import (
     LAW_CHECKS,
     circle_is_within_sight,
@@ -155,6 +156,7 @@ _FIRST: tuple[Check, ...] = (
 CHECKS: tuple[Check, ...] = (
     *_FIRST,
     *WORLD_CHECKS,
+    kinematics_are_possible,
     law_parameters_are_possible,
     own_functions_are_named,
     drivers_have_their_task,

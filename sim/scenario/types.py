@@ -10,7 +10,17 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from bus.messages.base import Line, Name, NonNegative, Positive, Seed, Share, Text, Vector
+from bus.messages.base import (
+    Coordinate,
+    Line,
+    Name,
+    NonNegative,
+    Positive,
+    Seed,
+    Share,
+    Text,
+    Vector,
+)
 from bus.messages.buildings import MOST_BUILDINGS, Altitude, AltitudeLimits, Building, Camera
 from bus.messages.ground import DEFAULT_SHARE, Hazard
 from bus.messages.links import LinkKind, LinkSettings
@@ -25,7 +35,15 @@ from bus.messages.scenario import (
     Sensor,
 )
 from bus.messages.team import Team
-from bus.registry import BODIES, CAUTIONS, DEFAULT_BODY, DEFAULT_DRIVER, HAZARDS, LAWS
+from bus.registry import (
+    BODIES,
+    CAUTIONS,
+    DEFAULT_BODY,
+    DEFAULT_DRIVER,
+    DEFAULT_KINEMATICS,
+    HAZARDS,
+    LAWS,
+)
 from sim.channel.recorded import RecordedLink
 from sim.models.inner_loop import InnerLoop
 from sim.models.vehicles import raw_switching_radius
@@ -169,6 +187,16 @@ class Ugv(Table, frozen=True, kw_only=True):
     """Maximum speed v_g [m/s]; inf: unbounded."""
     max_acceleration: Bound = 0.1
     """Maximum acceleration u_g [m/s²]; inf: unbounded."""
+    kinematics: Name = DEFAULT_KINEMATICS
+    """How it moves: `point`, in any direction; `differential` or `ackermann`, along its heading only."""
+    track: Positive | None = None
+    """Distance between the wheels of a `differential` drive [m]; each wheel keeps max_speed."""
+    max_curvature: Positive | None = None
+    """Largest curvature of the path of an `ackermann` vehicle [1/m]: 1 / its smallest turning radius."""
+    heading: Coordinate | None = None
+    """Initial heading of a vehicle that steers [rad], from east to north; default: along its velocity, else towards its
+    first goal, else east.
+    """
     driver: Name = DEFAULT_DRIVER
     """Controller, a row of `bus.registry.DRIVERS`; or a saved policy such as `fmu:FILE.fmu`, which sets the driver
     `policy` and `custom.policy`.

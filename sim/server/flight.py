@@ -356,7 +356,7 @@ class Flight:
         self.take_down()
         measures = self.recorder.escorts[world.tick, :, :2].tolist()
         detections = world.detections.tolist()
-        heights = world.vertical_truth()
+        heights, headings = world.vertical_truth(), world.headings()
         radii = self.recorder.heights[world.tick, :, 3].tolist()
         return Truth(
             tick=world.tick,
@@ -367,6 +367,7 @@ class Flight:
                     velocity=tuple(v),
                     acceleration=tuple(u),
                     command=tuple(c),
+                    heading=headings.get(name),
                     **heights.get(name, {}),
                 )
                 for name, (p, v, u, c) in zip(world.names, rows, strict=True)

@@ -214,6 +214,7 @@ class UgvPerception(Perception):
         self._operators = world.links.row(LinkKind.OPERATOR, name)
         escorts = [uav.name for uav in world.uavs if uav.escorts == name]
         self._radios = [world.links.row(LinkKind.RADIO, uav) for uav in escorts]
+        self._headings: dict[int, float] = {}  # by tick, of a UGV that steers
         self.blocks: dict[int, tuple[MapUpdate, ...]] = {}
         """Map updates received by radio, by tick."""
 
@@ -221,6 +222,9 @@ class UgvPerception(Perception):
         """Receive this tick's messages and sensor reports; call once per tick."""
         if self._grounded:
             self._see_ground(tick)
+        heading = self._world.heading(self.row)
+        if heading is not None:
+            self._headings[tick] = heading
         links = self._world.links
         commands = links.arrivals(self._operators, tick)
         if commands:
@@ -250,6 +254,7 @@ class UgvPerception(Perception):
         news = self.news.get(tick, _NO_NEWS)
         return UgvObservation(
             **self._common(tick, own, known=known, over=over),
+            heading=self._headings.get(tick),
             radio=arrived,
             map_updates=self.blocks.get(tick, ()) if known else (),
             operator=news.operator if known else (),
