@@ -107,6 +107,15 @@ rates_fit_ticks | ground.rate=7 & hazard=[{kind="block",center=[1,1],radius=0.2}
 hazards_are_known | hazard=[{kind="wall",center=[1,1],radius=0.2}] | hazard.0.kind = "wall" | rough, block, find
 hazards_are_known | hazard_field=[{kind="blok",count=1,radius=[1,2]}] | hazard_field.0.kind = "blok" | block
 hazards_are_known | ground.touch=explode | ground.touch = "explode" | stuck, damage
+kinematics_are_possible | ugv.0.kinematics=tank | ugv.0.kinematics = "tank" | point, differential, ackermann
+kinematics_are_possible | ugv.0.kinematics=differential | ugv.0.kinematics = "differential" | ugv.0.track above 0
+kinematics_are_possible | ugv.0.kinematics=ackermann | ugv.0.kinematics = "ackermann" | ugv.0.max_curvature above 0
+kinematics_are_possible | ugv.0.track=0.5 | ugv.0.track = 0.5 | only with differential
+kinematics_are_possible | ugv.0.heading=0.5 | ugv.0.heading = 0.5 | only with differential or ackermann
+kinematics_are_possible | uav=[] & ugv.0.kinematics=differential & ugv.0.track=0.5 & ugv.0.max_acceleration=inf
+| ugv.0.max_acceleration = inf | a finite number of m/s²
+kinematics_are_possible | ugv.0.kinematics=differential & ugv.0.track=0.5 & ugv.0.heading=0.0 & ugv.0.velocity=[0.0,0.1]
+| ugv.0.velocity = [0.0, 0.1] | along ugv.0.heading = 0, forwards or in reverse
 hazards_are_known | ugv.0.caution=blind | ugv.0.caution = "blind" | cautious, bold
 tiles_fit_area | ground.tile=41 & hazard=[{kind="block",center=[1,1],radius=0.2}] | ground.tile = 41.0 | 0.25 to 40 m
 tiles_fit_area | ground.tile=0.2 & hazard=[{kind="block",center=[1,1],radius=0.2}] | ground.tile = 0.2 | 0.25 to 40 m

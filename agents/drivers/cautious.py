@@ -170,7 +170,7 @@ def is_safe(
         late: True if commands are delayed: the prediction must then also hold on rough ground.
         tiles: Occupancy grid of the UGV. Shape (rows, columns).
         ground: Kinds of tiles that are open.
-        own: UgvState of the UGV when the command takes effect.
+        own: State of the UGV when the command takes effect.
         u_x, u_y: Command [m/s²].
     """
     tile, v_max, u_max, dt = (

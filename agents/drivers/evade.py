@@ -209,7 +209,7 @@ def off_walls(ugv: UgvParameters, w_x: float, w_y: float, own: UgvState) -> tupl
     Args:
         ugv: Constants of the UGV.
         w_x, w_y: Desired velocity [m/s].
-        own: UgvState of the UGV.
+        own: State of the UGV.
     """
     v_x, v_y = own.v_x, own.v_y
     # stopping distance over speed [s]

@@ -14,6 +14,8 @@ from sim.models.vehicles import brake, clip_norm, norm, speed_to_stop_within
 
 _SHARE = 0.7
 """Share of the largest acceleration for each of accelerating and turning."""
+_MOST_TURN = 1.5
+"""Largest turn in a tick [rad]: an acceleration more than a right angle aside means reverse."""
 _BEHIND = 0.5 * math.pi
 _ALIGNED = math.pi / 3.0
 """Angles to the goal at which a car begins to reverse, and ends to [rad]; between them it keeps its direction."""
@@ -39,6 +41,7 @@ def move(
     if now * after < 0.0:
         after = 0.0  # it stops before it reverses
     limit = largest_turn(ugv.kinematics, abs(now), abs(after), ugv.max_speed, ugv.dt)
+    limit = min(limit, _MOST_TURN)
     fastest = max(abs(now), abs(after))
     if fastest > REST:
         limit = min(limit, step / fastest)
@@ -82,6 +85,18 @@ def turn_to_velocity(
 
 
 @compiled
+def angle_to(own: UgvState, x: float, y: float) -> float:
+    """Return the angle from the heading of a UGV to a point [rad]."""
+    return wrapped(math.atan2(y - own.p_y, x - own.p_x) - own.heading)
+
+
+@compiled
+def turn_towards(ugv: UgvParameters, own: UgvState, angle: float, gear: int) -> tuple[float, float]:
+    """Return the acceleration [m/s²] of a car that turns by an angle [rad] forwards (1) or in reverse (-1)."""
+    return move(ugv, own, gear * min(ugv.max_speed, _turning_speed(ugv)), angle, _SHARE)
+
+
+@compiled
 def _reverses(ugv: UgvParameters, own: UgvState, angle: float, distance: float) -> bool:
     """Return whether a car reverses towards a goal at this angle to its heading [rad] and this distance [m]."""
     most, now = ugv.kinematics.max_curvature, signed_speed(own)
@@ -109,7 +124,7 @@ def turn_to_goal(
     distance = norm(d_x, d_y)
     if distance <= REST:
         return brake(own.v_x, own.v_y, ugv.max_acceleration, ugv.dt)
-    angle = wrapped(math.atan2(d_y, d_x) - own.heading)
+    angle = angle_to(own, goal_x, goal_y)
     if ugv.kinematics.kind != DIFFERENTIAL and _reverses(ugv, own, angle, distance):
         return move(ugv, own, -min(speed, _turning_speed(ugv)), angle, _SHARE)
     rest = distance - 0.5 * ugv.dt * max(signed_speed(own), 0.0)

@@ -16,6 +16,7 @@ from agents.drivers.cautious import (
     open_share,
     segment_is_open,
 )
+from agents.drivers.manoeuvres import angle_to, turn_towards
 from agents.drivers.navigate_parameters import NavigateParameters, navigate_parameters
 from agents.drivers.parameters import DriverInputs, UgvParameters
 from agents.drivers.pending_stops import state_ahead, store_command, update_claim
@@ -36,7 +37,7 @@ from agents.drivers.waypoints import Memory, waypoint_command
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.ground import tile_index
 from sim.models.hazards import BLOCK, TOUCH
-from sim.models.kinematics import UgvState
+from sim.models.kinematics import ACKERMANN, REST, UgvState, signed_speed
 from sim.models.vehicles import (
     brake,
     next_goal,
@@ -49,6 +50,8 @@ _STEPS = 64
 """Number of tiles considered along the cheapest path."""
 _SHARES = (1.0, 0.5, 0.2, 0.05)
 """Shares of the free path ahead within which the UGV tries to stop."""
+_FACING = 0.1
+"""Angle to its next point below which a car faces it [rad]."""
 _ROUNDING = 1e-9
 """Relative tolerance of the cost per metre of a straight segment, and of the speed on rough ground."""
 
@@ -180,11 +183,16 @@ def drive_towards(
     Args:
         parameters: Parameters of the driver.
         memory: Occupancy grid of the UGV.
-        own: UgvState of the UGV when the command takes effect.
+        own: State of the UGV when the command takes effect.
         to_x, to_y: Point [m].
     """
     late = memory.sent.shape[0] > 2
     ground = open_from(memory, parameters.tile, parameters.bold, own.p_x, own.p_y)
+    if memory.flags[0].gear != 0:
+        angle = angle_to(own, to_x, to_y)
+        if abs(angle) > _FACING:
+            return _turn_about(parameters, memory, ground, own, angle)
+        memory.flags[0].gear = 0
     speed = _rough_speed(parameters, memory, own, to_x, to_y)
     d_x, d_y = to_x - own.p_x, to_y - own.p_y
     u_x, u_y = goal_control(parameters, own, to_x, to_y, speed)
@@ -199,6 +207,34 @@ def drive_towards(
                 u_x, u_y = goal_control(parameters, own, on_x, on_y, limit)
                 if is_safe(parameters, late, memory.tiles, ground, own, u_x, u_y):
                     return u_x, u_y
+    if parameters.kinematics.kind == ACKERMANN:
+        return _turn_about(parameters, memory, ground, own, angle_to(own, to_x, to_y))
+    return brake(own.v_x, own.v_y, parameters.max_acceleration, parameters.dt)
+
+
+@compiled
+def _turn_about(
+    parameters: NavigateParameters,
+    memory: OccupancyGrid,
+    ground: Open,
+    own: UgvState,
+    angle: float,
+) -> tuple[float, float]:
+    """Return the command [m/s²] of a car that cannot drive to its next point directly: it turns in several moves.
+
+    It turns in one direction until it faces the point or the way is closed, then in the other. `angle`: from its
+    heading to the point [rad]; the other arguments are as in `drive_towards`.
+    """
+    flags, late = memory.flags[0], memory.sent.shape[0] > 2
+    if flags.gear != 0:
+        u_x, u_y = turn_towards(parameters, own, angle, flags.gear)
+        if is_safe(parameters, late, memory.tiles, ground, own, u_x, u_y):
+            return u_x, u_y
+    if abs(signed_speed(own)) <= REST:
+        if flags.gear == 0:
+            flags.gear = 1 if abs(angle) > 0.5 * math.pi else -1  # the other one was closed
+        else:
+            flags.gear = -flags.gear
     return brake(own.v_x, own.v_y, parameters.max_acceleration, parameters.dt)
 
 
@@ -246,7 +282,7 @@ def navigate_control(
         memory: Occupancy grid with all reports so far; changed in place.
         goals: Goals [m]. Shape (goals, 2).
         tick: Current tick.
-        own: UgvState of the UGV.
+        own: State of the UGV.
         committed: As in `state_ahead`.
     """
     flags, count = memory.flags[0], goals.shape[0]

@@ -152,7 +152,7 @@ def update_claim(
     Args:
         parameters: Parameters of the driver; a bold one claims nothing.
         memory: Changed in place.
-        ahead: UgvState of the UGV when the command takes effect.
+        ahead: State of the UGV when the command takes effect.
         u_x, u_y: Command [m/s²].
     """
     flags, late = memory.flags[0], memory.sent.shape[0] > 2

@@ -64,6 +64,8 @@ class GridFlags(NamedTuple):
     v_y: float = 0.0
     heading: float = 0.0
     """State of the UGV in the tick `answered`: position [m], velocity [m/s] and heading [rad]."""
+    gear: int = 0
+    """Direction in which a car turns about: 1: forwards; -1: in reverse; 0: it does not."""
 
 
 class OccupancyGrid(NamedTuple):

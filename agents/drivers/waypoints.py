@@ -32,7 +32,7 @@ def waypoint_command(
         ugv: Constants of the UGV; bounds may be infinite.
         memory: Changed in place.
         goals: Goals [m]. Shape (goals, 2).
-        own: UgvState of the UGV.
+        own: State of the UGV.
     """
     goal_x, goal_y = own.p_x, own.p_y
     if len(goals) > 0:
