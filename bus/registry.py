@@ -323,6 +323,12 @@ BODIES = _extended(
     "bodies",
     BodyRow,
     BodyRow(name="point", about="point mass with a linear inner loop (uav.tracking)"),
+    BodyRow(
+        name="reported",
+        about="robot whose process reports its true state",
+        make="sim.models.reported:Reported",
+        reported=True,
+    ),
 )
 """Bodies of UAVs by name."""
 DEFAULT_BODY = "point"

@@ -101,6 +101,8 @@ class BodyRow:
     """One-line description for help texts."""
     make: str = ""
     """Class of `sim.models.body.Body`, constructed from a `Scenario` and its `Uav`; empty: the compiled inner loop."""
+    reported: bool = False
+    """True if the UAV's process reports the true motion, which a robot flies."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -83,6 +83,8 @@ class World:
         self.uavs: tuple[Uav, ...] = tuple(
             vehicle for vehicle in scenario.vehicles if isinstance(vehicle, Uav)
         )
+        self.robots = {} if batch.bodies is None else batch.bodies.reported(number)
+        """Bodies that robots fly, by UAV; their processes report the true states."""
         self.parameters = world_parameters(scenario, gains=batch.parameters.gains)
 
     @property

@@ -24,7 +24,7 @@ from bus.messages.vehicle import (
     UgvBriefing,
 )
 from bus.profiles import PROFILES
-from bus.registry import LAWS
+from bus.registry import BODIES, DEFAULT_BODY, LAWS
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import InProcess, fly, make_pilots
@@ -213,11 +213,20 @@ class Piloted(InProcess):
         return {self._vehicle: self._act(self._seen), **super().collect(tick)}
 
 
+def modelled(scenario: Scenario) -> Scenario:
+    """Return the scenario with models in place of robots, for which pilots can be made in this process."""
+    models = (
+        msgspec.structs.replace(uav, body=DEFAULT_BODY) if BODIES[uav.body].reported else uav
+        for uav in scenario.uav
+    )
+    return msgspec.structs.replace(scenario, uav=(*models,))
+
+
 def flown_by(pilot: Any, scenario: Scenario, act: Callable[[Any], Command]) -> Flight:
     """Fly a run with seed 0 whose UAV is flown by this pilot: brief it, then call `act` at each tick."""
     flight = Flight(scenario, 0)
     pilot.make(uav_briefing(scenario, "uav_0", 0))
-    flight.fly(Piloted(make_pilots(scenario, 0), "uav_0", act))
+    flight.fly(Piloted(make_pilots(modelled(scenario), 0), "uav_0", act))
     return flight
 
 

@@ -54,7 +54,7 @@ def test_uav_receives_exactly_these_fields() -> None:
         vehicle dt visibility_radius law name parameters key past more
         team mates guards silence scout_range separation
         sender number role certified measured measurement blocks cells
-        endurance charge_time base charge asks request"""
+        endurance charge_time base charge asks request has_robot"""
     assert fields_of(TO_UAV) == {*words(known)}
 
 

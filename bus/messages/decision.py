@@ -32,6 +32,8 @@ class NotCertified(StrEnum):
     """Given by the simulator, never by a filter: counts ticks without a report from a filter."""
     NO_CLEARANCE = "NO_CLEARANCE"
     """Given by the simulator, never by a filter: the UAV does not know which driver is in control of the UGV."""
+    NO_ROBOT_STATE = "NO_ROBOT_STATE"
+    """Given by the simulator, never by a filter: the UAV's robot has no valid reported state."""
     ROLE = "ROLE"
     """Given by environments, never by a filter: the UAV's role in its team has no filter in this tick."""
 
@@ -55,6 +57,7 @@ WHAT_HAPPENED = {
     NotCertified.NO_REPORT: "the UAV has no estimate yet, or its command did not arrive",
     NotCertified.NO_CLEARANCE: "the driver of the UGV keeps no distance from buildings, or the UGV is nearer than it "
     "declares",
+    NotCertified.NO_ROBOT_STATE: "the UAV's process reports no valid state of its robot",
     NotCertified.ROLE: "the role of the UAV in its team needs no certificate",
 }
 """Plain-English description of each reason."""

@@ -169,6 +169,8 @@ class VehicleStatus(Message, frozen=True, kw_only=True):
     """Commands used after the tick that they answer."""
     shortened_commands: Tick = 0
     """Commands that exceeded the vehicle's bound."""
+    unreported_ticks: Tick = 0
+    """Ticks without a valid state of its robot, with the body `reported`."""
     lost: Tick = 0
     """Times that its process disconnected."""
     rejoined: Tick = 0

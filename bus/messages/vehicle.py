@@ -47,6 +47,10 @@ MOST_CARRIED = 6
 """Maximum number of backup trajectories in one command: its own and earlier ones that have not started. It keeps a
 command below one kilobyte.
 """
+MAX_STATE_AGE = 1.0
+"""Age beyond which a robot's state is unknown [s]."""
+MAX_OVERSPEED = 2.0
+"""Maximum speed of a robot as a multiple of its UAV's bound: gusts and noise exceed the bound, faults by more."""
 
 
 class BackupTrajectory(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -144,6 +148,8 @@ class UavBriefing(VehicleBriefing, frozen=True, kw_only=True):
     """Its endurance; None: unlimited."""
     mates: tuple[Name, ...] = ()
     """All UAVs of its team in name order, itself included; empty: it has none."""
+    has_robot: bool = False
+    """True: a robot flies it, and its process reports the robot's state."""
     past: "tuple[UavObservation, ...]" = ()
     """Its observations so far in this run, tick by tick; without detections while its process was disconnected."""
 
@@ -269,6 +275,19 @@ class UgvObservation(VehicleObservation, frozen=True, kw_only=True):
     """Driver from this tick on, a row of `bus.registry.DRIVERS`; None: unchanged."""
 
 
+class RobotState(Message, frozen=True, kw_only=True):
+    """True state of the robot that flies a UAV, as its process reports it to the simulator; no vehicle receives it."""
+
+    position: Vector
+    """Position [m]."""
+    altitude: Coordinate | None = None
+    """Altitude above the ground [m], of a UAV in the plane relative to its initial one; None: unknown."""
+    velocity: Vector
+    """Velocity [m/s]."""
+    age: NonNegative = 0.0
+    """Age of this state at the next tick [s]; 0: it is the state at that tick. The velocity bridges the age."""
+
+
 class UavReport(Message, frozen=True, kw_only=True):
     """Report of a UAV to observers; no vehicle receives it."""
 
@@ -309,6 +328,8 @@ class UavCommand(Message, frozen=True, kw_only=True):
     """Message to its team-mates."""
     report: UavReport | None = None
     """Report to observers."""
+    robot: RobotState | None = None
+    """True state of its robot, if its body is `reported`; it crosses no link, unlike the rest of the command."""
 
 
 class UgvReport(Message, frozen=True, kw_only=True):

@@ -9,7 +9,8 @@ from agents.warming import warm_up
 from bus.keys import Role
 from bus.messages.scenario import Origin
 from outrider.cli.joining import Joining
-from outrider_mavlink.autopilot import AutopilotLink, AutopilotPilot
+from outrider_mavlink.autopilot import AutopilotPilot
+from outrider_mavlink.autopilot_link import AutopilotLink
 from outrider_mavlink.dialect import mavlink
 from outrider_mavlink.identity import VehicleSystem
 from outrider_mavlink.offboard import OffboardGateway, OffboardPilot, serving

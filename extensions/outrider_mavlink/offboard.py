@@ -32,7 +32,7 @@ from outrider_mavlink.setpoints import (
 from outrider_mavlink.udp import Network, Peer
 
 if TYPE_CHECKING:
-    from outrider_mavlink.autopilot import AutopilotLink
+    from outrider_mavlink.autopilot_link import AutopilotLink
 
 TOO_EARLY = "comes before the UAV has joined"
 _OVERRIDE_HOLD = 1.0

@@ -37,6 +37,7 @@ from sim.env.rows import RowTables, row_state, row_tables
 from sim.env.settings import Settings, settings_of
 from sim.models.ground import TileArray
 from sim.models.randomness import PILOT
+from sim.scenario.checks import check_no_robot
 from sim.scenario.types import Scenario
 
 
@@ -52,7 +53,7 @@ class ClosedLoop:
         settings: Keywords, see `sim.env.settings.Settings`.
 
     Raises:
-        ScenarioError: If a vehicle has a law or a driver that cannot be compiled.
+        ScenarioError: If a vehicle has a law or a driver that cannot be compiled, or a robot flies it.
         ValueError: If another argument is not allowed.
         TypeError: If a setting is unknown.
     """
@@ -67,6 +68,7 @@ class ClosedLoop:
         error: bool = False,
         **settings: Any,  # noqa: ANN401 - fields of `Settings`
     ) -> None:
+        check_no_robot(scenario)
         options = settings_of(settings)
         given, ranges = scenario, options.randomize
         self.randomization = Randomization(scenario, ranges) if ranges else None

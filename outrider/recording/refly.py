@@ -10,6 +10,7 @@ from bus.messages.control import Action, Control
 from bus.messages.links import LinkKind
 from bus.messages.telemetry import Truth
 from outrider.recording.reader import Recording
+from sim.models.body import Motion
 from sim.server.flight import Flight
 from sim.server.recorder import platform_row
 
@@ -98,6 +99,14 @@ def _put(flight: Flight, truth: Truth) -> None:
     flight.recorder.record([one.report for one in given], [one.revoked for one in given])
 
 
+def _report(flight: Flight, truth: Truth) -> None:
+    """Report the recorded states of the next tick to the bodies that robots flew."""
+    for name, robot in flight.world.robots.items():
+        vehicle = truth.vehicles[name]
+        state = Motion((*vehicle.position, vehicle.altitude or 0.0), (*vehicle.velocity, 0.0))
+        robot.receive(state, 0.0)
+
+
 def external_uavs(recording: Recording) -> set[str]:
     """Return the UAVs flown by a program of the user: they receive detections, but report no estimate."""
     reported = {e.uav for truth in recording.truths for e in truth.escorts if e.report is not None}
@@ -127,6 +136,7 @@ def restore(recording: Recording) -> Flight:
         for k, name in enumerate(flight.world.names):
             flight.commands[k] = truth.vehicles[name].command
             flight.world.vertical["command"][k] = truth.vehicles[name].vertical_acceleration
+        _report(flight, truth)
         while flight.world.tick < truth.tick - 1:
             flight.world.step(flight.commands)
             flight.recorder.record([None] * len(flight.world.uavs))
@@ -197,6 +207,7 @@ def refly(recording: Recording) -> Reflight:
     flight.recorder.record(flight.answers.reports)
     _put(copy, recording.truths[0])
     for _ in _commands(recording, flight):
+        _report(flight, recording.truths[flight.world.tick + 1])
         flight.world.step(flight.commands)
         flight.recorder.record(flight.answers.reports)
         truth = recording.truths[flight.world.tick]

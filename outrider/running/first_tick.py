@@ -20,6 +20,7 @@ def check_first_tick(scenario: Scenario) -> None:
         ScenarioError: If a function fails, or a body does not suit its UAV.
     """
     outside = any(DRIVERS[ugv.driver].outside for ugv in scenario.ugv)
+    outside |= any(BODIES[uav.body].reported for uav in scenario.uav)
     has_body = any(BODIES[uav.body].make for uav in scenario.uav)
     if not (own_code(scenario) or has_body) or outside:
         return

@@ -15,6 +15,7 @@ from outrider.running.summary import Summary, summarize
 from outrider.running.user_code import check_code, load_function
 from sim.engine.briefing import briefing
 from sim.engine.run_keys import check_secret
+from sim.scenario.checks import check_no_robot
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
@@ -35,7 +36,11 @@ def make_pilots(
         seed, secret: Seed and secret of the run.
         weighting: Replaces the scenario's `custom.weighting`.
         path: Replaces the scenario's `custom.path`.
+
+    Raises:
+        ScenarioError: If a robot flies a UAV, which no pilot here can report.
     """
+    check_no_robot(scenario)
     weighting = weighting or load_function(scenario.custom.weighting, what="custom.weighting")
     path = path or load_function(scenario.custom.path, what="custom.path")
     policy = load_function(scenario.custom.policy, what="custom.policy")

@@ -264,6 +264,8 @@ PROCESS = _table(
            "Commands applied after the tick that they answer."),
     Metric("shortened_commands", "command beyond its bound", "", 0,
            "Accelerations with a component beyond the vehicle's bound, which are shortened."),
+    Metric("unreported_ticks", "no state of its robot", "ticks", 0,
+           "Ticks without a valid state of the UAV's robot, with the body `reported`."),
     Metric("lost", "lost", "", 0,
            "Disconnections of the process."),
     Metric("rejoined", "joined again", "", 0,

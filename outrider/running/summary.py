@@ -18,6 +18,7 @@ from bus.messages.telemetry import (
     VehicleStatus,
 )
 from sim.models.vehicles import raw_switching_radius
+from sim.server.answers import Answers
 from sim.server.flight import Flight
 from sim.server.recorder import platform_row
 
@@ -142,19 +143,19 @@ def switching_radius_of(flight: Flight, escort: int = 0) -> float | None:
     return r_s if math.isfinite(r_s) else None
 
 
-def _faults(
-    vehicles: Mapping[str, VehicleStatus], shortened: Mapping[str, int]
-) -> dict[str, dict[str, int]]:
+def _faults(vehicles: Mapping[str, VehicleStatus], answers: Answers) -> dict[str, dict[str, int]]:
     """Return the faults of each vehicle by cause, without zeros."""
     found: dict[str, dict[str, int]] = {}
-    for name, count in shortened.items():
-        status = vehicles.get(name, VehicleStatus(present=True))
+    for name, count in answers.shortened.items():
+        counted = answers.counted(name)
+        status = vehicles.get(name, VehicleStatus(present=True, rejected=counted.rejected))
         counts = {
             "command beyond its bound": count,
             "lost": status.lost,
             "joined again": status.rejoined,
             "no new command": status.missing_commands,
             "late command used": status.stale_commands,
+            "no state of its robot": counted.unreported_ticks,
             **status.rejected,
         }
         if any(counts.values()):
@@ -276,7 +277,7 @@ def summarize(
         visibility_radius=scenario.visibility.radius,
         min_separation=_min_separation(flight),
         missing_commands=dict(flight.answers.missing),
-        faults=_faults(vehicles or {}, flight.answers.shortened),
+        faults=_faults(vehicles or {}, flight.answers),
         telemetry_faults=dict(telemetry_faults),
         largest_tracking_error=recorder.tracking_error,
         team=flight.answers.teams.status(),

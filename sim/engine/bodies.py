@@ -14,6 +14,7 @@ from sim.engine.run_keys import keys_of_places
 from sim.engine.world_state import BatchState
 from sim.models.body import Body, Influences, Motion, ReferenceTick
 from sim.models.randomness import BODY
+from sim.models.reported import Reported
 from sim.scenario.types import Scenario, Uav
 
 
@@ -39,6 +40,11 @@ class Bodies:
         ]
         self._bodies = [[_made(scenario, one) for _, one in self._uavs] for _ in range(worlds)]
         self._starts: dict[tuple[int, int], Motion] = {}
+
+    def reported(self, world: int) -> dict[str, Reported]:
+        """Return the bodies of a world that robots fly, by UAV."""
+        bodies = zip(self._uavs, self._bodies[world], strict=True)
+        return {uav.name: body for (_, uav), body in bodies if isinstance(body, Reported)}
 
     def begin(self, state: BatchState, worlds: IntArray, seeds: Iterable[int]) -> None:
         """Place the bodies of these worlds at the initial reference states.
@@ -81,6 +87,8 @@ class Bodies:
                         f"{uav.name} at {time:.2f} s: body {uav.body!r}: {error}"
                     ) from error
                 self._starts[k, b] = reference.end
+                body = self._bodies[k][b]
+                disturbance["unknown"] = isinstance(body, Reported) and not body.current
                 for i in range(2):
                     disturbance["error"][i] = true.position[i] - reference.end.position[i]
                     disturbance["error_rate"][i] = true.velocity[i] - reference.end.velocity[i]

@@ -9,6 +9,7 @@ from bus.messages.ground import UavGround, UgvGround
 from bus.messages.links import LinkKind
 from bus.messages.scenario import Detector, Limits
 from bus.messages.vehicle import Briefing, UavBriefing, UgvBriefing
+from bus.registry import BODIES
 from sim.channel.description import longest_delay
 from sim.engine.run_keys import derive_key
 from sim.models.camera import noise_at
@@ -133,6 +134,7 @@ def uav_briefing(
     altitude = altitude_limits(scenario, uav)
     return UavBriefing(
         **_common(scenario, uav, seed, secret),
+        has_robot=BODIES[uav.body].reported,
         target_limits=limits(escorted),
         visibility_radius=scenario.visibility.radius,
         sensor=scenario.sensor,

@@ -213,7 +213,7 @@ def _perceive(
         rows = Rows(world, u, tables.escorts[u, 0])
         if numbers.discovers:
             discover(state.town, state.buildings, tables.cameras, numbers, rows, tick, uav)
-        if tick % numbers.period == 0:
+        if tick % numbers.period == 0 and not uav.disturbance.unknown:
             run_detector(tables.cameras, numbers, state.buildings, rows, tick, uav, ugv)
 
 
@@ -248,7 +248,8 @@ def observe(tables: BatchTables, state: BatchState, ground: GroundState | None, 
     for u in range(tables.escorts.shape[0]):
         rows, vehicles = Rows(world, u, tables.escorts[u, 0]), state.vehicles[world]
         uav, ugv = vehicles[rows.vehicle], vehicles[tables.escorts[u, 1]]
-        update_coverage(numbers, state, tables.cameras, rows, uav, ugv)
+        if not uav.disturbance.unknown:
+            update_coverage(numbers, state, tables.cameras, rows, uav, ugv)
     _perceive(tables, state, ground, world)
 
 

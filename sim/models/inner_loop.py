@@ -53,6 +53,8 @@ class Disturbance:
     """Wind minus its mean, before the limit [m/s²]."""
     drift: Pair
     """Position error before the limit [m]."""
+    unknown: bool
+    """True if a robot flies the UAV and its state is unknown: the UAV then senses nothing."""
 
 
 class Responses(NamedTuple):

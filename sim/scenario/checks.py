@@ -286,6 +286,21 @@ def _body_warnings(scenario: Scenario) -> Iterator[str]:
             )
 
 
+def check_no_robot(scenario: Scenario) -> None:
+    """Check that no UAV is flown by a robot, where no process can report it.
+
+    Raises:
+        ScenarioError: If a UAV's body is `reported`.
+    """
+    for k, uav in enumerate(scenario.uav):
+        if BODIES[uav.body].reported:
+            others = ", ".join(row.name for row in BODIES.values() if not row.reported)
+            raise ScenarioError(
+                f"uav.{k}.body = {uav.body!r}: only a process of its own can report a robot, such as `outrider "
+                f"simulator` with `outrider mavlink --autopilot {uav.name}`; allowed here: {others}"
+            )
+
+
 def _task_warnings(scenario: Scenario) -> Iterator[str]:
     for k, ugv in enumerate(scenario.ugv):
         wanted = DRIVERS[ugv.driver].wants

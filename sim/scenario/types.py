@@ -145,7 +145,9 @@ class Uav(Table, frozen=True, kw_only=True):
     position_error_time: Positive = 30.0
     """Time constant of this error [s]."""
     body: Name = DEFAULT_BODY
-    """Model of its true motion, a row of `bus.registry.BODIES`: `point`, or one of an extension such as `quadrotor`."""
+    """Model of its true motion, a row of `bus.registry.BODIES`: `point`, `reported` by its own process, or one of an
+    extension such as `quadrotor`.
+    """
     tracking: InnerLoop = InnerLoop()
     """Inner loop of the body `point`, which tracks the reference state against wind and position errors."""
     law: OwnLaw | None = None

@@ -2,9 +2,11 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
+from bus.messages.base import fitted
 from bus.messages.decision import NotCertified
 from bus.messages.scenario import Law
 from bus.messages.team import Role
@@ -17,6 +19,7 @@ from sim.scenario.team import teams_of
 from sim.scenario.types import Scenario
 from sim.server.assurance import Assurance
 from sim.server.recorder import Recorder
+from sim.server.robots import Robots
 from sim.server.team_radio import TeamRadio
 from sim.server.team_watch import TeamWatch
 from sim.world import World
@@ -39,10 +42,22 @@ def _is_certified(command: Command) -> bool | None:
     return None if command.report is None else command.report.certified
 
 
-_Since = tuple[int | None, ...]
-"""Tick from which on each UAV's UGV has kept its distance from buildings; None: it does not keep it."""
-_Tick = tuple[int, Mapping[str, Command], Mapping[str, Law], _Since]
-"""Commands of one tick: the tick, the new commands, and the UAVs' control laws."""
+class Since(NamedTuple):
+    """Tick from which on two assumptions have held for each UAV that it cannot check; None: it does not hold."""
+
+    clear: tuple[int | None, ...]
+    """Its UGV keeps its distance from buildings."""
+    known: tuple[int | None, ...]
+    """Its true state is known; without a robot, always."""
+
+    def hold(self, uav: int, tick: int) -> tuple[bool, bool]:
+        """Return whether each holds for a UAV at a tick up to this one."""
+        clear, known = self.clear[uav], self.known[uav]
+        return clear is not None and clear <= tick, known is not None and known <= tick
+
+
+_Tick = tuple[int, Mapping[str, Command], Mapping[str, Law], Since]
+"""Commands of one tick: the tick, the new commands, the UAVs' control laws, and their assumptions."""
 
 
 class Answers:
@@ -55,6 +70,7 @@ class Answers:
         scenario: Scenario of the run.
         world, recorder: World and recorder of the run.
         team: Numbers and messages of its teams.
+        robots: Reported states of its robots.
         on_notice: Called with one line for the user.
     """
 
@@ -64,9 +80,11 @@ class Answers:
         world: World,
         recorder: Recorder,
         team: TeamRadio,
+        robots: Robots,
         on_notice: Callable[[str], None],
     ) -> None:
         self._world, self._recorder, self._on_notice = world, recorder, on_notice
+        self._robots = robots
         self._disturbed = scenario.disturbed
         self.missing: dict[str, int] = dict.fromkeys(world.names, 0)
         """Ticks without a new command, by vehicle."""
@@ -150,6 +168,9 @@ class Answers:
             missing_commands=self.missing[name],
             stale_commands=self.stale[name],
             shortened_commands=self.shortened[name],
+            unreported_ticks=self._robots.unreported[name],
+            rejected=dict(self._robots.rejected[name]),
+            last_fault=fitted(self._robots.faults[name]),
         )
 
     def record(
@@ -157,7 +178,7 @@ class Answers:
         tick: int,
         commands: Mapping[str, Command],
         laws: Mapping[str, Law],
-        clear_since: _Since,
+        since: Since,
     ) -> None:
         """Record the commands of the tick just simulated; `evaluate` counts them.
 
@@ -165,9 +186,9 @@ class Answers:
             tick: The tick.
             commands: New command of each vehicle that sent one.
             laws: Control law of each UAV.
-            clear_since: Tick from which on each UAV's UGV has kept its distance from buildings; None: it does not.
+            since: Tick from which on the assumptions have held that the UAVs cannot check.
         """
-        self._recorded = tick, commands, laws, clear_since
+        self._recorded = tick, commands, laws, since
 
     def evaluate(self) -> None:
         """Count the recorded commands, and compare the UAVs' reports with the true state."""
@@ -175,12 +196,13 @@ class Answers:
         if last is None:
             return
         self._recorded = None
-        tick, commands, laws, clear_since = last
+        tick, commands, laws, since = last
         self._count(tick, commands)
         for uav, name in enumerate(self._uavs):
             command = commands.get(name)
             answer = command if isinstance(command, UavCommand) else None
-            self._check_report(uav, answer, tick, laws[name].name, clear_since[uav])
+            said = tick if answer is None else answer.tick
+            self._check_report(uav, answer, tick, laws[name].name, since.hold(uav, said))
         if self._teamed:
             answers = map(commands.get, self._uavs)
             current = [answer is not None and answer.tick == tick for answer in answers]
@@ -194,6 +216,8 @@ class Answers:
                 self._recorder.is_lost(self._world.tick, uav),
                 self._world.keeps_clearance(uav),
             )
+            if not self._robots.is_known(self._uavs[uav]):
+                self.assurance.excuse(uav)
             self.assurance.end(uav, lost, clear=clear)
 
     def _count(self, tick: int, commands: Mapping[str, Command]) -> None:
@@ -224,9 +248,14 @@ class Answers:
             )
 
     def _check_report(
-        self, uav: int, command: UavCommand | None, tick: int, law: str, clear_since: int | None
+        self,
+        uav: int,
+        command: UavCommand | None,
+        tick: int,
+        law: str,
+        assumptions: tuple[bool, bool],
     ) -> None:
-        """Compare a UAV's report of a tick with the true state."""
+        """Compare a UAV's report of a tick with the true state; `assumptions`: from `Since.hold`."""
         report = self.reports[uav] = None if command is None else command.report
         watched = LAWS[law].watched
         if self._teamed:  # a UAV of a team has a filter in some of its roles, whatever the law
@@ -243,12 +272,13 @@ class Answers:
             self.assurance.excuse(uav)
         said = tick if command is None else command.tick
         lost = self._recorder.is_lost(said, uav)
-        clear = clear_since is not None and clear_since <= said
+        clear, known = assumptions
         self.assurance.record(
-            uav, tick, command, self._evidence, lost, watched=watched, clear=clear
+            uav, tick, command, self._evidence, lost, watched=watched, clear=clear, known=known
         )
         certified = report is not None and report.decision is not None and report.decision.certified
-        self.revoked[uav] = NotCertified.NO_CLEARANCE if certified and not clear else None
+        reason = NotCertified.NO_ROBOT_STATE if not known else NotCertified.NO_CLEARANCE
+        self.revoked[uav] = reason if certified and not (clear and known) else None
 
     def _check_pilot(self, uav: int, command: UavCommand, tick: int, law: str) -> None:
         """Detect a UAV flown by the user's program: Outrider's pilot always reports once it has a detection."""

@@ -103,6 +103,7 @@ class Assurance:
         *,
         watched: bool = True,
         clear: bool = True,
+        known: bool = True,
     ) -> None:
         """Record a tick of a UAV with a safety filter, whether the filter belongs to the control law or to a pilot.
 
@@ -114,6 +115,7 @@ class Assurance:
             lost: True if the UGV was out of sight at the reported tick.
             watched: True if its control law has a safety filter.
             clear: True if the UGV keeps the distance from buildings that the filter assumes.
+            known: True if the UAV's true state is known; else nothing is certified, and no certificate breaks.
         """
         report = None if command is None else command.report
         decision = None if report is None else report.decision
@@ -128,12 +130,15 @@ class Assurance:
         certified = overridden = current = False
         reason: NotCertified | None = NotCertified.NO_REPORT
         if decision is None:
-            self._silent[uav] += 1
+            self._silent[uav] += known
         else:
             certified, overridden = decision.certified, decision.overridden
             reason, current = decision.reason, command is not None and command.tick == tick
         if certified and not clear:
             reason = NotCertified.NO_CLEARANCE
+        if not known:
+            certified, reason = False, NotCertified.NO_ROBOT_STATE
+            self.excuse(uav)
         if reason is not None:
             self.reasons[reason] += 1
         claim = Claim(certified, overridden, lost, current, clear)

@@ -27,11 +27,12 @@ from sim.compiling.compile import FloatArray
 from sim.engine.run_keys import check_seed
 from sim.scenario.laws import law_title, with_law
 from sim.scenario.types import NO_UAV, Scenario, Uav
-from sim.server.answers import Answers
+from sim.server.answers import Answers, Since
 from sim.server.clearance_watch import ClearanceWatch
 from sim.server.perception import News, Perception, UavPerception, UgvPerception
 from sim.server.radio import Radio
 from sim.server.recorder import Recorder
+from sim.server.robots import Robots
 from sim.server.team_radio import TeamRadio
 from sim.server.team_requests import check_request
 from sim.world import World
@@ -111,7 +112,11 @@ class Flight:
         }
         """Perception of each vehicle, in name order."""
         self.on_notice = on_notice
-        self._answers = Answers(scenario, self.world, self.recorder, self.team, on_notice)
+        self.robots = Robots(scenario, self.world, on_notice)
+        """States of the robots that fly UAVs."""
+        self._answers = Answers(
+            scenario, self.world, self.recorder, self.team, self.robots, on_notice
+        )
         self._clearance = ClearanceWatch(scenario, self.world)
         self.routes: dict[str, tuple[Vector, ...]] = {}
         """Planned route of each UGV, as last reported: its corners [m]; for observers."""
@@ -218,7 +223,7 @@ class Flight:
             roles=self.answers.roles(),
             team=self.answers.teams.status(),
             mission=self.world.mission,
-            warnings=tuple(self._clearance.notices.values()),
+            warnings=(*self._clearance.notices.values(), *self.robots.notices.values()),
             links=self.world.links.status(),
             vehicles={name: self.answers.counted(name) for name in self.world.names},
             over=self.over,
@@ -295,12 +300,15 @@ class Flight:
             if isinstance(command, UavCommand):
                 self.radio.send(k, command)
                 self.team.send(name, command)
+                self.robots.receive(name, command)
             elif command.route is not None:
                 self.routes[name] = command.route
         self._clearance.update(commands)
+        self.robots.update()
         world.advance()
         self.team.use_charge()
-        self._answers.record(world.tick - 1, commands, self.laws, self._clearance.since())
+        since = Since(self._clearance.since(), self.robots.since())
+        self._answers.record(world.tick - 1, commands, self.laws, since)
 
     def take_down(self) -> None:
         """Evaluate the commands of the previous tick and record this one; repeated calls at a tick have no effect.

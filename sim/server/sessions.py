@@ -294,15 +294,15 @@ class Sessions:
 
     def statuses(self) -> dict[str, VehicleStatus]:
         """Return the status of each vehicle."""
-        answers = self._flight.answers
+        found = {name: self._flight.answers.counted(name) for name in self._sessions}
         return {
             name: msgspec.structs.replace(
-                answers.counted(name),
+                found[name],
                 present=entry.present,
                 lost=entry.lost,
                 rejoined=entry.rejoined,
-                rejected=dict(entry.refused),
-                last_fault=entry.fault,
+                rejected=found[name].rejected | entry.refused,
+                last_fault=entry.fault or found[name].last_fault,
             )
             for name, entry in self._sessions.items()
         }

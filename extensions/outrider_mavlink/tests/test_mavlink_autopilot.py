@@ -1,96 +1,106 @@
-"""An autopilot as the inner loop of a UAV; a short loop stands in for a real autopilot."""
+"""An autopilot as the inner loop of a UAV; a small vehicle model stands in for a real one."""
 
 import logging
 import math
 
 import msgspec
+import numpy as np
 import pytest
 from test_mavlink import Station, select, texts
+from vehicle_model import HOVER, VehicleModel, heartbeat, position_report
 
 from bus.errors import ScenarioError
+from bus.messages.decision import NotCertified
 from bus.messages.vehicle import UavObservation
 from flights import distances, flown_by
-from outrider.running.flying import fly, make_pilots
-from outrider_mavlink import autopilot as module
-from outrider_mavlink.autopilot import (
-    OLDER,
-    OTHER_AUTOPILOT,
-    AutopilotLink,
-    AutopilotPilot,
-)
+from outrider.running.summary import summarize
+from outrider_mavlink.autopilot import AutopilotPilot
+from outrider_mavlink.autopilot_link import OLDER, OTHER_AUTOPILOT, AutopilotLink
 from outrider_mavlink.dialect import mavlink
 from outrider_mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE
 from outrider_mavlink.udp import UNREADABLE, Address, Network
+from sim.engine.briefing import uav_briefing
 from sim.scenario.loading import load_scenario
 
-CHANGES = ("law.name=certified", "duration=15.0", "certificate.max_tracking_error=0.3")
-START = (7.0, -3.0, -12.0)
-"""Hover position in the autopilot's local frame: north, east, down [m]."""
+DECLARED = 0.3
+"""Declared bound of the tracking error [m]."""
+CHANGES = (
+    "law.name=certified",
+    "uav.0.body=reported",
+    f"certificate.max_tracking_error={DECLARED}",
+    "detections.dropout=0",
+)
+START = HOVER
 
 
 class Autopilot(Station):
-    """Moves to its setpoints and reports its position."""
+    """Flies a vehicle model, or is always at its setpoint, and reports its state."""
 
-    def __init__(self, link, port):
+    def __init__(self, link, port, model=None):
         super().__init__(link, number=42)
         self.mav.srcComponent = 1
-        self.to = ("127.0.0.1", port)
+        self.to, self.model = ("127.0.0.1", port), model
         self.boot, self.place, self.velocity = 0, START, (0.0, 0.0)
         self.setpoints, self.requests = [], []
 
-    def heartbeat(self, armed=True):
-        flags = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
-        return mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, flags, 0, 4, 3)
-
     def report(self, **changes):
         self.boot += 50
-        (x, y, z), (v_x, v_y) = self.place, self.velocity
-        fields = {
-            "time_boot_ms": self.boot % (1 << 32),
-            "x": x,
-            "y": y,
-            "z": z,
-            "vx": v_x,
-            "vy": v_y,
-            "vz": 0.0,
-        }
-        return mavlink.MAVLink_local_position_ned_message(*(fields | changes).values())
+        message = position_report(self.boot, self.place, self.velocity)
+        for field, value in changes.items():
+            setattr(message, field, value)
+        return message
 
-    def live(self, *, moves=True):
-        """Receive setpoints, move to them, and report."""
+    def live(self, time, *, moves=True, reports=True):
+        """Receive setpoints, fly up to a time [s], and report."""
         arrived = self.arrived()
         self.requests += select(arrived, "COMMAND_LONG")
-        for one in select(arrived, "SET_POSITION_TARGET_LOCAL_NED"):
-            self.setpoints.append(one)
-            if moves:
-                self.place, self.velocity = (one.x, one.y, one.z), (one.vx, one.vy)
-        self.socket.sendto(self.report().pack(self.mav), self.to)
+        wanted = select(arrived, "SET_POSITION_TARGET_LOCAL_NED")
+        self.setpoints += wanted
+        if self.model is not None:
+            for one in wanted:
+                self.model.command(one)
+            self.model.advance(time)
+            self.place = (*self.model.position, self.model.down)
+            self.velocity = tuple(self.model.velocity)
+        elif not moves:
+            self.velocity = (0.0, 0.0)
+        elif wanted:
+            one = wanted[-1]
+            self.place, self.velocity = (one.x, one.y, one.z), (one.vx, one.vy)
+        if reports:
+            self.socket.sendto(self.report().pack(self.mav), self.to)
 
 
 class Along:
-    """A flight in this process with an autopilot."""
+    """A flight in this process with an autopilot, both in simulated time."""
 
-    def __init__(self, *changes):
-        self.scenario = load_scenario("escort", overrides=[*CHANGES, *changes])
+    def __init__(self, *changes, model=None, duration=15.0):
+        given = [*CHANGES, f"duration={duration}", *changes]
+        self.scenario = load_scenario("escort", overrides=given)
+        self.now = 0.0
         self.network = Network(listen=[Address("127.0.0.1", 0)])
-        self.link = AutopilotLink(self.network)
+        self.link = AutopilotLink(self.network, lambda: self.now)
         port = self.network._links[0].socket.getsockname()[1]
-        self.autopilot = Autopilot(self.link, port)
+        self.autopilot = Autopilot(self.link, port, model)
         self.pilot = AutopilotPilot(self.link)
         self.reports = []
 
-    def fly(self, each_tick=lambda _tick: None, *, moves=lambda _tick: True):
-        arrived = self.autopilot.send(self.autopilot.heartbeat(), self.autopilot.report())
+    def fly(
+        self, each_tick=lambda _tick: None, *, moves=lambda _tick: True, reports=lambda _tick: True
+    ):
+        arrived = self.autopilot.send(heartbeat(), self.autopilot.report())
         self.autopilot.requests += select(arrived, "COMMAND_LONG")
 
         def act(seen):
+            self.now = seen.time
             each_tick(seen.tick)
             self.link.turn(0.0)
             command = self.pilot.act(seen)
             self.reports.append(command.report)
             self.pilot.prepare()
             self.link.refresh()
-            self.autopilot.live(moves=moves(seen.tick))
+            after = (seen.tick + 1) * self.scenario.dt
+            self.autopilot.live(after, moves=moves(seen.tick), reports=reports(seen.tick))
             return command
 
         return flown_by(self.pilot, self.scenario, act)
@@ -109,31 +119,79 @@ def flown_along():
 
 @pytest.fixture(scope="module", name="plain")
 def a_plain_flight():
-    return fly(load_scenario("escort", overrides=CHANGES), 0)[0]
+    along = Along()
+    flight = along.fly()
+    along.close()
+    return flight
+
+
+def flown_with(model, *changes, duration=15.0, **events):
+    """Fly with a vehicle model; return the flight, its summary, and the pilot."""
+    along = Along(*changes, model=model, duration=duration)
+    flight = along.fly(**events)
+    along.close()
+    return flight, summarize(flight, seconds=1.0), along.pilot
 
 
 def same_bits(flight, plain):
     return flight.recorder.states.tobytes() == plain.recorder.states.tobytes()
 
 
-def test_autopilot_that_tracks_its_setpoints_changes_no_bit(along, plain):
+def kept(summary):
+    """Return whether no counter shows an error in the certificate."""
+    return (summary.certified_while_lost, summary.certificate_broken) == (0, 0)
+
+
+def uav_of(flight):
+    return flight.world.names.index("uav_0")
+
+
+def test_the_robot_is_the_true_uav_of_the_run():
+    model, seen = VehicleModel(wind=(1.5, -1.0)), []
+
+    def each_tick(_tick):
+        north, east = model.position
+        seen.append((east - START[1], north - START[0]))
+
+    flight, summary, pilot = flown_with(model, each_tick=each_tick)
+    states, reference = (
+        array[:-1, uav_of(flight)] for array in (flight.recorder.states, flight.recorder.reference)
+    )
+    robot = np.array(seen) + reference[0, :2]
+    # the velocity bridges one tick; tick 1 has no report yet
+    assert np.abs(states[2:, :2] - robot[2:]).max() < 0.003
+    assert np.abs(reference[2:, :2] - robot[2:]).max() > 0.05
+    uav, ugv = (
+        flight.world.position[flight.world.names.index(name)] for name in ("uav_0", "ugv_0")
+    )
+    assert distances(flight)[-1] == pytest.approx(math.dist(uav, ugv))
+    assert summary.largest_tracking_error == pytest.approx(pilot.largest_deviation, abs=0.01)
+    assert (summary.tracking_exceeded, pilot.held_ticks, flight.robots.unreported["uav_0"]) == (
+        0,
+        0,
+        2,
+    )
+    assert kept(summary)
+    assert summary.certified_share > 0.95
+
+
+def test_the_same_robot_flies_the_same_bits(along, plain):
     flight = along.fly()
     assert same_bits(flight, plain)
     assert along.pilot.held_ticks == 0
-    assert 0.0 < along.pilot.largest_deviation < 0.1  # it receives them a tick later
     assert along.reports[-1].decision.certified
     requests = {(one.command, one.param1) for one in along.autopilot.requests}
     assert requests == {(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 32.0)}
 
 
-def test_setpoints_are_the_track_from_where_the_autopilot_hovers(along, plain):
-    along.fly()
+def test_setpoints_are_the_track_from_where_the_autopilot_hovers(along):
+    flight = along.fly()
     first, last = along.autopilot.setpoints[0], along.autopilot.setpoints[-1]
     assert (first.x, first.y, first.z) == pytest.approx(START)
-    uav = plain.recorder.states[:, plain.world.names.index("uav_0")]
-    (x, y), (v_x, v_y) = uav[-1][:2] - uav[0][:2], uav[-1][2:4]
-    assert (last.x - START[0], last.y - START[1]) == pytest.approx((y, x), abs=0.05)
-    assert (last.vx, last.vy) == pytest.approx((v_y, v_x), abs=0.02)
+    uav = flight.recorder.reference[:, uav_of(flight)]
+    (x, y), (v_x, v_y) = uav[-2][:2] - uav[0][:2], uav[-2][2:4]
+    assert (last.x - START[0], last.y - START[1]) == pytest.approx((y, x), abs=1e-5)
+    assert (last.vx, last.vy) == pytest.approx((v_y, v_x), abs=1e-5)
     assert last.z == START[2]
     assert (last.target_system, last.type_mask) == (42, 0b110_000_000_000)
 
@@ -150,19 +208,56 @@ def test_run_waits_uncertified_for_a_lagging_autopilot(along, caplog):
     waiting = [one for one in along.reports if one is not None and one.decision is None]
     assert len(waiting) >= along.pilot.held_ticks - 1
     assert along.reports[-1].decision.certified
-    assert distances(flight).max() < 4.75
-    assert flight.answers.assurance.certificate_broken == 0
+    summary = summarize(flight, seconds=1.0)
+    assert summary.tracking_exceeded > 0
+    assert along.pilot.dropped > 0
+    assert summary.visibility_violations == 0
+    assert kept(summary)
 
 
-def test_run_waits_for_a_silent_or_unarmed_autopilot(along, monkeypatch):
+@pytest.mark.parametrize("declared", [DECLARED, 0.1])
+def test_every_excess_of_the_declared_bound_is_counted(declared):
+    model = VehicleModel(gust=0.5, seed=1)
+
+    def storm(tick):
+        model.wind = (0.0, 8.0) if 100 <= tick < 180 else (0.0, 0.0)
+
+    change = f"certificate.max_tracking_error={declared}"
+    flight, summary, pilot = flown_with(model, change, each_tick=storm)
+    off = flight.recorder.states[:-1, uav_of(flight), :2]
+    off = np.hypot(*(off - flight.recorder.reference[:-1, uav_of(flight), :2]).T)
+    assert summary.tracking_exceeded == int((off > declared).sum()) > 20
+    assert summary.largest_tracking_error > 0.35
+    assert pilot.held_ticks > 20
+    assert kept(summary)
+    assert flight.recorder.escorts[-2, 0, 6] == 1.0  # certified again
+
+
+def test_silence_is_counted_until_the_autopilot_is_back():
+    silent = range(100, 160)
+    flight, summary, pilot = flown_with(
+        VehicleModel(gust=0.5), reports=lambda tick: tick not in silent
+    )
+    unreported = flight.robots.unreported["uav_0"]
+    assert unreported == pytest.approx(2 + 60 - 20, abs=1)
+    assert summary.uncertified[NotCertified.NO_ROBOT_STATE] == unreported
+    assert pilot.held_ticks == pytest.approx(60 - 20, abs=1)
+    certified = flight.recorder.escorts[:-1, 0, 6]
+    assert not (certified[124:160] == 1.0).any()
+    assert certified[-1] == 1.0
+    assert kept(summary)
+
+
+def test_run_waits_for_an_unarmed_autopilot(along):
     along.fly()
-    where = along.pilot._link.reference.position
-    assert along.link.deviation(where) < 0.1
-    monkeypatch.setattr(module, "_TELEMETRY_TIMEOUT", -1.0)
-    assert along.link.deviation(where) == math.inf
-    monkeypatch.undo()
-    along.autopilot.send(along.autopilot.heartbeat(armed=False))
+    along.autopilot.send(heartbeat(armed=False))
     assert not along.link.armed
+    seen = msgspec.convert(
+        {"tick": 300, "time": 15.0, "position": along.link.reference.position, "velocity": [0, 0]},
+        UavObservation,
+        strict=False,
+    )
+    assert along.pilot.act(seen).report.decision is None
 
 
 def test_bad_telemetry_is_counted_by_cause_and_changes_no_bit(along, plain):
@@ -171,7 +266,8 @@ def test_bad_telemetry_is_counted_by_cause_and_changes_no_bit(along, plain):
     other.to, other.mav.srcComponent = station.to, 1
     bad = [
         (station, {"x": math.nan}, NOT_FINITE),
-        (station, {"vy": math.inf}, NOT_FINITE),
+        (station, {"vz": math.inf}, NOT_FINITE),
+        (station, {"y": 1e30}, BEYOND_BOUNDS),
         (station, {"vx": 5.0}, BEYOND_BOUNDS),
         (station, {"time_boot_ms": 1}, OLDER),
         (other, {}, OTHER_AUTOPILOT),
@@ -201,43 +297,57 @@ def accepted(along, **changes):
     return along.link.reports > before
 
 
-def test_restarted_autopilot_is_accepted_again(along, monkeypatch):
+def test_restarted_autopilot_is_accepted_again(along):
     along.fly()
     assert accepted(along)
     late = along.autopilot.report(time_boot_ms=7)
     (why,) = texts(along.autopilot.send(late))
     assert why == f"rejected: telemetry {OLDER}; accepted after 1 s without telemetry"
-    monkeypatch.setattr(module, "_TELEMETRY_TIMEOUT", -1.0)  # as after a second of silence
+    along.now += 1.1
     assert accepted(along, time_boot_ms=7)
     other = Autopilot(along.link, along.autopilot.to[1])
-    (why,) = texts(other.send(other.heartbeat()))
+    (why,) = texts(other.send(heartbeat()))
     assert OTHER_AUTOPILOT in why
     assert why.endswith("accepted after 3 s of silence")
-    monkeypatch.setattr(module, "_PEER_TIMEOUT", -1.0)
-    arrived = other.send(other.heartbeat(), other.report())
+    along.now += 3.1
+    arrived = other.send(heartbeat(), other.report())
     assert select(arrived, "COMMAND_LONG")  # the new station has no requests yet
     assert along.link.peer.address[1] == other.port
     assert along.link.armed
     other.socket.close()
 
 
-def test_a_silent_autopilot_is_asked_again_for_telemetry(along, monkeypatch):
+def test_a_flight_goes_on_after_a_restart_of_the_autopilot():
+    along = Along(model=VehicleModel())
+
+    def each_tick(tick):
+        if tick == 160:
+            along.autopilot.boot = 0
+
+    flight = along.fly(each_tick, reports=lambda tick: not 100 <= tick < 160)
+    along.close()
+    assert along.pilot.held_ticks > 0
+    assert flight.recorder.escorts[-2, 0, 6] == 1.0
+    assert summarize(flight, seconds=1.0).largest_tracking_error < DECLARED
+
+
+def test_a_silent_autopilot_is_asked_again_for_telemetry(along):
     along.fly()
     along.autopilot.arrived()
-    monkeypatch.setattr(module, "_HEARTBEAT", 0.0)
+    along.now += 0.9
     along.link.refresh()
     assert not select(along.autopilot.arrived(), "COMMAND_LONG")
-    monkeypatch.setattr(module, "_TELEMETRY_TIMEOUT", -1.0)
+    along.now += 1.1
     along.link.refresh()
     assert select(along.autopilot.arrived(), "COMMAND_LONG")
 
 
-def test_no_other_system_becomes_the_autopilot(along, monkeypatch):
+def test_no_other_system_becomes_the_autopilot(along):
     along.fly()
-    monkeypatch.setattr(module, "_PEER_TIMEOUT", -1.0)
+    along.now += 3.1
     other = Autopilot(along.link, along.autopilot.to[1])
     other.mav.srcSystem = 43
-    (why,) = texts(other.send(other.heartbeat()))
+    (why,) = texts(other.send(heartbeat()))
     assert why.endswith(OTHER_AUTOPILOT)
     assert along.link.peer.system == 42
     other.socket.close()
@@ -251,35 +361,49 @@ def test_the_clock_of_an_autopilot_may_roll_over(along):
     assert not accepted(along, time_boot_ms=(1 << 32) - 10)
 
 
-def test_a_run_that_declares_no_deviation_is_refused():
+@pytest.mark.parametrize(
+    ("change", "wrong"),
+    [
+        ("certificate.max_tracking_error=0", r"--set certificate\.max_tracking_error=0\.3"),
+        ("uav.0.body=point", r"--set uav\.\*\.body=reported"),
+    ],
+)
+def test_a_run_that_takes_no_robot_is_refused(change, wrong):
     pilot = AutopilotPilot(AutopilotLink(Network()))
-    arrived = make_pilots(load_scenario("escort"), 0)["uav_0"]._briefing
-    assert msgspec.to_builtins(arrived)["safety"]["max_tracking_error"] == 0.0
-    with pytest.raises(ScenarioError, match=r"--set certificate\.max_tracking_error=0\.3"):
-        pilot.make(arrived)
+    scenario = load_scenario("escort", overrides=[*CHANGES, change])
+    with pytest.raises(ScenarioError, match=wrong):
+        pilot.make(uav_briefing(scenario, "uav_0", 0))
 
 
 def test_past_replayed_on_rejoin_is_not_sent_to_the_autopilot(along):
     along.fly()
-    pilot, seen = along.pilot, make_pilots(along.scenario, 0)["uav_0"]._briefing
-    pilot.make(seen)
+    pilot, brief = along.pilot, uav_briefing(along.scenario, "uav_0", 0)
+    here, anchor = along.link.reference.position, along.link.anchor
+    pilot.make(brief)
     past = msgspec.convert(
         {"tick": 0, "time": 0.0, "position": [1.0, 1.0], "velocity": [0.0, 0.0]}, UavObservation
     )
-    pilot.act(past)
+    assert pilot.act(past).robot is None
     assert along.link.reference is None
-    now = msgspec.structs.replace(past, tick=1, position=(9.0, 8.0))
+    now = msgspec.structs.replace(past, tick=1, position=here)
     pilot.act(now)
     pilot.prepare()
-    assert along.link.reference.position == (9.0, 8.0)
-    assert along.link.deviation((9.0, 8.0)) == 0.0  # the deviation from its own position
+    assert along.link.reference.position == here
+    assert along.link.anchor == anchor  # the same run, and the robot is where it was
+    pilot.make(msgspec.structs.replace(brief, episode=1))
+    pilot.act(now)
+    pilot.prepare()
+    assert along.link.deviation(here) < 0.01  # another run begins where the robot hovers
+    pilot.make(msgspec.structs.replace(brief, episode=1))
+    pilot.act(msgspec.structs.replace(past, tick=1, position=(30.0, 8.0)))
+    pilot.prepare()
+    assert along.link.deviation((30.0, 8.0)) < 0.01
 
 
-def test_paused_run_commands_the_autopilot_to_stay(along, monkeypatch):
+def test_paused_run_commands_the_autopilot_to_stay(along):
     along.fly()
-    monkeypatch.setattr(module, "_PAUSED", -1.0)
-    monkeypatch.setattr(module, "_RESEND", 0.0)
     along.autopilot.arrived()
+    along.now += 0.4
     along.link.refresh()
     (one,) = select(along.autopilot.arrived(), "SET_POSITION_TARGET_LOCAL_NED")
     assert (one.vx, one.vy, one.afx, one.afy) == (0.0, 0.0, 0.0, 0.0)

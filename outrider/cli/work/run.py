@@ -23,7 +23,7 @@ from outrider.running.parent import Output
 from outrider.running.resolve import resolve
 from outrider.running.user_code import check_code
 from outrider.view.output import output_folder, write_summary
-from sim.scenario.checks import scenario_warnings
+from sim.scenario.checks import check_no_robot, scenario_warnings
 from sim.scenario.types import Scenario
 
 
@@ -168,8 +168,9 @@ def _check_processes(flown: Scenario, allowed: int) -> None:
     """Check the number of processes against its limit; 0: the run starts none.
 
     Raises:
-        ScenarioError: If the run needs more processes.
+        ScenarioError: If the run needs more processes, or a robot that a process of the user reports.
     """
+    check_no_robot(flown)
     outside = sum(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
     wanted = 1 + len(flown.vehicles) - outside
     if 0 < allowed < wanted:

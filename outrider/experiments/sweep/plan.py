@@ -17,7 +17,7 @@ from outrider.experiments.sweep.definition import Block, Sweep
 from outrider.running.own_functions import check_own_functions
 from outrider.running.user_code import check_code
 from sim.input.faults import one_line
-from sim.scenario.checks import scenario_warnings
+from sim.scenario.checks import check_no_robot, scenario_warnings
 from sim.scenario.laws import law_title
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
@@ -117,6 +117,7 @@ def _loaded(
         if outside is not None:
             wrong = f"the driver {outside!r} is another process; allowed: drivers of Outrider"
             raise ScenarioError(f"{one_line(sweep.scenario)}: {wrong}")
+        check_no_robot(scenario)
         if law is not None and not scenario.uav:
             wrong = f"laws = {list(sweep.laws or ())}: the scenario has no UAV"
             raise ScenarioError(f"{one_line(sweep.scenario)}: {wrong}; allowed: none")
