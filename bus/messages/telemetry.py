@@ -45,6 +45,8 @@ class VehicleTruth(Message, frozen=True, kw_only=True):
     """Its climb rate [m/s]."""
     vertical_acceleration: Coordinate = 0.0
     """Its vertical acceleration since the last tick, after the bounds [m/s²]."""
+    known: bool = True
+    """False: a robot flies it whose state is unknown; its position is the last known one."""
 
 
 class EscortTruth(Message, frozen=True, kw_only=True):

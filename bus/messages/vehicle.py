@@ -49,8 +49,8 @@ command below one kilobyte.
 """
 MAX_STATE_AGE = 1.0
 """Age beyond which a robot's state is unknown [s]."""
-MAX_OVERSPEED = 2.0
-"""Maximum speed of a robot as a multiple of its UAV's bound: gusts and noise exceed the bound, faults by more."""
+MAX_OVERSPEED = 5.0
+"""Speed by which a robot may exceed its UAV's bound, as in a gust [m/s]; a faster one is a fault."""
 
 
 class BackupTrajectory(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):

@@ -234,8 +234,7 @@ class AutopilotLink:
         elif self.reported is not None and self._is_older(self.reported, message.time_boot_ms):
             hint = f"; accepted after {MAX_STATE_AGE:g} s without telemetry"
             self._reject(OLDER, "telemetry", peer, hint)
-        elif speed > self.max_speed * MAX_OVERSPEED:
-            bound = self.max_speed * MAX_OVERSPEED
+        elif speed > (bound := self.max_speed + MAX_OVERSPEED):
             what = f"telemetry of {above(speed, bound)} m/s (allowed: up to {exact(bound)})"
             self._reject(BEYOND_BOUNDS, what, peer)
         else:

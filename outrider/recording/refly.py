@@ -1,5 +1,6 @@
 """Second flight of recorded commands, without pilots, and restoration of the recorded flight."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -104,7 +105,7 @@ def _report(flight: Flight, truth: Truth) -> None:
     for name, robot in flight.world.robots.items():
         vehicle = truth.vehicles[name]
         state = Motion((*vehicle.position, vehicle.altitude or 0.0), (*vehicle.velocity, 0.0))
-        robot.receive(state, 0.0)
+        robot.receive(state, 0.0 if vehicle.known else math.inf)
 
 
 def external_uavs(recording: Recording) -> set[str]:

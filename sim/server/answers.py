@@ -201,8 +201,7 @@ class Answers:
         for uav, name in enumerate(self._uavs):
             command = commands.get(name)
             answer = command if isinstance(command, UavCommand) else None
-            said = tick if answer is None else answer.tick
-            self._check_report(uav, answer, tick, laws[name].name, since.hold(uav, said))
+            self._check_report(uav, answer, tick, laws[name].name, since)
         if self._teamed:
             answers = map(commands.get, self._uavs)
             current = [answer is not None and answer.tick == tick for answer in answers]
@@ -248,14 +247,9 @@ class Answers:
             )
 
     def _check_report(
-        self,
-        uav: int,
-        command: UavCommand | None,
-        tick: int,
-        law: str,
-        assumptions: tuple[bool, bool],
+        self, uav: int, command: UavCommand | None, tick: int, law: str, since: Since
     ) -> None:
-        """Compare a UAV's report of a tick with the true state; `assumptions`: from `Since.hold`."""
+        """Compare a UAV's report of a tick with the true state."""
         report = self.reports[uav] = None if command is None else command.report
         watched = LAWS[law].watched
         if self._teamed:  # a UAV of a team has a filter in some of its roles, whatever the law
@@ -266,13 +260,14 @@ class Answers:
             self._reporting[uav] = True
         elif command is not None and not self._reporting[uav]:
             self._check_pilot(uav, command, tick, law)
-        if self._disturbed and (watched or (report and report.decision is not None)):
+        judged = watched or (report is not None and report.decision is not None)
+        if self._disturbed and judged and since.hold(uav, tick)[1]:
             self.assurance.track(uav, self._recorder.tracking_error_at(tick, uav))
         if self.excuses(self._uavs[uav], command):
             self.assurance.excuse(uav)
         said = tick if command is None else command.tick
         lost = self._recorder.is_lost(said, uav)
-        clear, known = assumptions
+        clear, known = since.hold(uav, said)
         self.assurance.record(
             uav, tick, command, self._evidence, lost, watched=watched, clear=clear, known=known
         )

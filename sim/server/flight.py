@@ -376,6 +376,7 @@ class Flight:
                     acceleration=tuple(u),
                     command=tuple(c),
                     heading=headings.get(name),
+                    known=self.robots.is_known(name),
                     **heights.get(name, {}),
                 )
                 for name, (p, v, u, c) in zip(world.names, rows, strict=True)

@@ -124,6 +124,7 @@ class Recorder:
         vehicles, uavs = len(world.names), len(world.uavs)
         room = min(world.scenario.ticks + 1, _ROOM)
         self._disturbed = world.scenario.disturbed
+        self._off = 0.0  # largest tracking error [m]
         reference_rows = vehicles if self._disturbed else 0
         self._states: FloatArray = np.empty((room, vehicles, len(_VEHICLE)))
         self._escorts: FloatArray = np.empty((room, uavs, len(_ESCORT)))
@@ -164,6 +165,9 @@ class Recorder:
         if self._disturbed:
             self._reference[k, :, 0:2] = self._world.reference_position
             self._reference[k, :, 2:4] = self._world.reference_velocity
+            off = self._world.position - self._world.reference_position
+            known = ~self._world.vehicles["disturbance"]["unknown"]
+            self._off = max(self._off, float((np.hypot(off[:, 0], off[:, 1]) * known).max()))
         for uav, report in enumerate(reports if k else ()):
             if report is not None:
                 certified = distance = math.nan
@@ -206,11 +210,11 @@ class Recorder:
 
     @property
     def tracking_error(self) -> float | None:
-        """Return the largest distance of a UAV from its reference position [m]; None without disturbances."""
-        if not self._disturbed:
-            return None
-        off = self.states[:, :, :2] - self.reference[:, :, :2]
-        return float(np.hypot(off[..., 0], off[..., 1]).max())
+        """Return the largest distance of a UAV from its reference position, while its state is known [m].
+
+        None without disturbances.
+        """
+        return self._off if self._disturbed else None
 
     def tracking_error_at(self, tick: int, uav: int) -> float:
         """Return the distance of a UAV from its reference position at a recorded tick [m]."""

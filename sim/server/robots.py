@@ -65,7 +65,7 @@ class Robots:
         (x, y), high = vehicle["reference_position"].tolist(), vehicle["vertical"]["altitude"]
         up = 0.0 if state.altitude is None else state.altitude - float(high)
         off = math.hypot(state.position[0] - x, state.position[1] - y, up)
-        speed, bound = math.hypot(*state.velocity), MAX_OVERSPEED * self._uavs[name].max_speed
+        speed, bound = math.hypot(*state.velocity), self._uavs[name].max_speed + MAX_OVERSPEED
         if not all(map(math.isfinite, (off, speed, state.age))):
             return NOT_FINITE, f"position {state.position}, velocity {state.velocity}"
         if off > self._limit:

@@ -12,6 +12,7 @@ import random
 import select
 import signal
 import socket
+import sys
 import time
 from collections import deque
 
@@ -144,7 +145,7 @@ def main():
     asked = parser.parse_args()
     host, _, port = asked.address.partition(":")
     model = VehicleModel(tuple(asked.wind), asked.gust, asked.seed)
-    print(json.dumps({"setpoints": fly((host, int(port)), model)}), flush=True)
+    sys.stdout.write(json.dumps({"setpoints": fly((host, int(port)), model)}) + "\n")
 
 
 if __name__ == "__main__":
