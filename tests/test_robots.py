@@ -10,7 +10,8 @@ import pytest
 import outrider
 from bus.errors import ScenarioError
 from bus.messages.decision import NotCertified
-from bus.messages.vehicle import RobotState, UavObservation
+from bus.messages.robot import RobotState
+from bus.messages.vehicle import UavObservation
 from flights import altered, distances, modelled
 from outrider.running.first_tick import check_first_tick
 from outrider.running.flying import fly, make_pilots

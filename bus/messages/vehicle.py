@@ -28,6 +28,7 @@ from bus.messages.ground import (
     UavGround,
     UgvGround,
 )
+from bus.messages.robot import RobotState
 from bus.messages.scenario import (
     Area,
     Detector,
@@ -47,10 +48,6 @@ MOST_CARRIED = 6
 """Maximum number of backup trajectories in one command: its own and earlier ones that have not started. It keeps a
 command below one kilobyte.
 """
-MAX_STATE_AGE = 1.0
-"""Age beyond which a robot's state is unknown [s]."""
-MAX_OVERSPEED = 5.0
-"""Speed by which a robot may exceed its UAV's bound, as in a gust [m/s]; a faster one is a fault."""
 
 
 class BackupTrajectory(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -273,19 +270,6 @@ class UgvObservation(VehicleObservation, frozen=True, kw_only=True):
     """Operator messages that arrived at this tick, oldest first."""
     driver: Name | None = None
     """Driver from this tick on, a row of `bus.registry.DRIVERS`; None: unchanged."""
-
-
-class RobotState(Message, frozen=True, kw_only=True):
-    """True state of the robot that flies a UAV, as its process reports it to the simulator; no vehicle receives it."""
-
-    position: Vector
-    """Position [m]."""
-    altitude: Coordinate | None = None
-    """Altitude above the ground [m], of a UAV in the plane relative to its initial one; None: unknown."""
-    velocity: Vector
-    """Velocity [m/s]."""
-    age: NonNegative = 0.0
-    """Age of this state at the next tick [s]; 0: it is the state at that tick. The velocity bridges the age."""
 
 
 class UavReport(Message, frozen=True, kw_only=True):

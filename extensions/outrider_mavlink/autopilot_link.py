@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from bus.messages.base import Vector
-from bus.messages.vehicle import MAX_OVERSPEED, MAX_STATE_AGE, RobotState
+from bus.messages.robot import MAX_OVERSPEED, MAX_STATE_AGE, RobotState
 from bus.numbers import above, exact
 from outrider.running.refused import Refusals, Refused
 from outrider_mavlink.dialect import MavMessage, mavlink, packed

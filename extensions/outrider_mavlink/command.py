@@ -97,10 +97,11 @@ def command(
     without a setpoint for the scenario's `command_timeout`, the run's law controls it. The safety filter is always
     active.
 
-    With --autopilot, the run's law controls the UAV and a real autopilot tracks its reference state. If the tracking
-    error exceeds `certificate.max_tracking_error`, or telemetry is missing, the UAV holds its position and nothing is
-    certified. The autopilot must be armed, airborne and in a mode that follows setpoints. The run must keep real time.
-    PX4 sends to the default address of --in.
+    With --autopilot, the run's law controls the UAV, a real autopilot tracks its reference state, and the state that it
+    reports is the UAV's true state in the run, which needs `body = "reported"`. If the tracking error exceeds
+    `certificate.max_tracking_error`, or telemetry is missing, the UAV holds its position and nothing is certified. The
+    autopilot must be armed, airborne and in a mode that follows setpoints. The run must keep real time. PX4 sends to
+    the default address of --in.
 
     Example: outrider mavlink --to 127.0.0.1:14550 --credentials credentials/observer.json
 

@@ -4,8 +4,8 @@ The commands move the reference state by (1). In each tick the simulator passes 
 wind and position error, and receives the true motion. Their difference is the tracking error, as for the inner loop of
 `sim.models.inner_loop`. A body lives in the simulator; no vehicle receives anything from it.
 
-The state may also be reported by a robot: `step` then sends the reference to its autopilot and returns the newest
-reported state. Runs are reproducible only if the body is a pure function of its arguments and its random numbers.
+Runs are reproducible only if the body is a pure function of its arguments and its random numbers. The body of
+`sim.models.reported` is the state that a robot's process reports.
 """
 
 from typing import NamedTuple, Protocol

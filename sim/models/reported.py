@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from bus.messages.vehicle import MAX_STATE_AGE
+from bus.messages.robot import MAX_STATE_AGE
 from sim.models.body import Influences, Motion, ReferenceTick
 
 _ROUNDING = 1e-9

@@ -178,7 +178,7 @@ class Answers:
         tick: int,
         commands: Mapping[str, Command],
         laws: Mapping[str, Law],
-        since: Since,
+        clear: tuple[int | None, ...],
     ) -> None:
         """Record the commands of the tick just simulated; `evaluate` counts them.
 
@@ -186,9 +186,9 @@ class Answers:
             tick: The tick.
             commands: New command of each vehicle that sent one.
             laws: Control law of each UAV.
-            since: Tick from which on the assumptions have held that the UAVs cannot check.
+            clear: As in `Since`.
         """
-        self._recorded = tick, commands, laws, since
+        self._recorded = tick, commands, laws, Since(clear, self._robots.since())
 
     def evaluate(self) -> None:
         """Count the recorded commands, and compare the UAVs' reports with the true state."""

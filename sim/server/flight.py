@@ -27,7 +27,7 @@ from sim.compiling.compile import FloatArray
 from sim.engine.run_keys import check_seed
 from sim.scenario.laws import law_title, with_law
 from sim.scenario.types import NO_UAV, Scenario, Uav
-from sim.server.answers import Answers, Since
+from sim.server.answers import Answers
 from sim.server.clearance_watch import ClearanceWatch
 from sim.server.perception import News, Perception, UavPerception, UgvPerception
 from sim.server.radio import Radio
@@ -65,8 +65,7 @@ def control_title(scenario: Scenario, external: Collection[str]) -> str:
         return NO_UAV
     if len(external) == len(scenario.uav):
         return EXTERNAL
-    own = " and ".join(sorted(external))
-    title = law_title(scenario)
+    title, own = law_title(scenario), " and ".join(sorted(external))
     return f"{title}, {own} {EXTERNAL}" if own else title
 
 
@@ -100,7 +99,7 @@ class Flight:
         """Current control law of each UAV."""
         self.drivers = {ugv.name: ugv.driver for ugv in scenario.ugv}
         """Current driver of each UGV."""
-        self.world = World(scenario, seed, secret=secret)
+        self.world = world = World(scenario, seed, secret=secret)
         self.recorder = Recorder(self.world)
         self.team = TeamRadio(self.world)
         """Numbers and messages of the teams."""
@@ -114,9 +113,7 @@ class Flight:
         self.on_notice = on_notice
         self.robots = Robots(scenario, self.world, on_notice)
         """States of the robots that fly UAVs."""
-        self._answers = Answers(
-            scenario, self.world, self.recorder, self.team, self.robots, on_notice
-        )
+        self._answers = Answers(scenario, world, self.recorder, self.team, self.robots, on_notice)
         self._clearance = ClearanceWatch(scenario, self.world)
         self.routes: dict[str, tuple[Vector, ...]] = {}
         """Planned route of each UGV, as last reported: its corners [m]; for observers."""
@@ -255,10 +252,8 @@ class Flight:
     def observations(self) -> dict[str, Observation]:
         """Return the observation of each vehicle at this tick."""
         self._receive()
-        over, observations = self.over, {}
-        for name, perception in self.perceptions.items():
-            observations[name] = perception.observe(over=over)
-        return observations
+        over = self.over
+        return {name: one.observe(over=over) for name, one in self.perceptions.items()}
 
     def past(
         self, name: str, begin: int, end: int, missed: Collection[int]
@@ -307,8 +302,7 @@ class Flight:
         self.robots.update()
         world.advance()
         self.team.use_charge()
-        since = Since(self._clearance.since(), self.robots.since())
-        self._answers.record(world.tick - 1, commands, self.laws, since)
+        self._answers.record(world.tick - 1, commands, self.laws, self._clearance.since())
 
     def take_down(self) -> None:
         """Evaluate the commands of the previous tick and record this one; repeated calls at a tick have no effect.
@@ -363,7 +357,7 @@ class Flight:
         rows = zip(*(rows.tolist() for rows in arrays), strict=True)
         self.take_down()
         measures = self.recorder.escorts[world.tick, :, :2].tolist()
-        detections = world.detections.tolist()
+        detections = [None if np.isnan(x) else (x, y) for x, y in world.detections.tolist()]
         heights, headings = world.vertical_truth(), world.headings()
         radii = self.recorder.heights[world.tick, :, 3].tolist()
         return Truth(
@@ -389,9 +383,7 @@ class Flight:
                     sight_radius=radii[k] if radii else None,
                     teamed=self.scenario.team is not None,
                     coverage_error=max(0.0, measures[k][1]),
-                    detection=tuple(detections[k])
-                    if detections[k][0] == detections[k][0]
-                    else None,
+                    detection=detections[k],
                     report=self.answers.reports[k],
                     revoked=self.answers.revoked[k],
                 )

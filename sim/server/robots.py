@@ -4,7 +4,8 @@ import math
 from collections import Counter
 from collections.abc import Callable
 
-from bus.messages.vehicle import MAX_OVERSPEED, MAX_STATE_AGE, RobotState, UavCommand
+from bus.messages.robot import MAX_OVERSPEED, MAX_STATE_AGE, RobotState
+from bus.messages.vehicle import UavCommand
 from bus.numbers import above, exact
 from bus.ticks import ticks_within
 from sim.models.body import Motion
