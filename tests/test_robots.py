@@ -181,6 +181,29 @@ def test_a_report_for_another_body_changes_nothing() -> None:
     assert flight.robots.rejected["uav_0"] == {NO_ROBOT: 60}
 
 
+def test_a_recorded_robot_flies_again(here) -> None:
+    pytest.importorskip("foxglove", reason="the extra [record] is not installed")
+    from observed import recorded  # noqa: PLC0415 - needs the extra
+    from outrider.recording.reader import flight_of  # noqa: PLC0415 - an extra
+    from outrider.recording.refly import refly, restore  # noqa: PLC0415 - an extra
+
+    scenario, path = load("duration=6.0"), here / "flight.mcap"
+    exchange = altered(
+        make_pilots(modelled(scenario), 3),
+        "uav_0",
+        lambda seen: {"robot": None if 40 <= seen.tick < 80 else beside(seen)},
+    )
+    flight = recorded(path, scenario, 3, exchange=exchange)
+    recording = flight_of(path)
+    again = refly(recording)
+    assert again.difference is None
+    assert again.trajectory_sha256 == flight.recorder.sha256()
+    for flown_again in (again.flight, restore(recording)):
+        assert np.array_equal(flown_again.world.coverage, flight.world.coverage)
+        found = flown_again.recorder.tracking_error
+        assert found == pytest.approx(flight.recorder.tracking_error)
+
+
 def test_runs_without_a_process_for_the_robot_refuse_it(command, here) -> None:
     scenario = load()
     check_first_tick(scenario)

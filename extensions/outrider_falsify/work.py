@@ -19,6 +19,7 @@ from outrider_falsify.attack_grid import EPS
 from outrider_falsify.engines import SearchRequest, SearchResult, save, search
 from outrider_falsify.limits import SearchLimits, base_of, beyond_declared
 from outrider_falsify.options import Expect, limits_of
+from sim.scenario.checks import check_no_robot
 from sim.scenario.types import Scenario
 
 _LINE = 10.0
@@ -37,6 +38,7 @@ def flown_scenario(
     flown, named = resolve(name, law=law, duration=duration, changes=changes)
     check_code(flown, named, source=name, allowed=allow_code)
     check_own_functions(flown)
+    check_no_robot(flown)
     return flown
 
 

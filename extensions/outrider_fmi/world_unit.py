@@ -13,6 +13,7 @@ from outrider.running.flying import InProcess, make_pilots
 from outrider.running.user_code import own_code
 from outrider_fmi.variables import ALTITUDE, OPERATOR, TRUE_ESCORT, TRUE_STATE, Variable, of
 from outrider_fmi.vehicle_unit import Values, check_inputs, pair, tick_at
+from sim.scenario.checks import check_no_robot
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
@@ -21,11 +22,12 @@ _CERTIFIED = 6
 
 
 def check_world(scenario: Scenario) -> None:
-    """Reject a scenario that needs user code.
+    """Reject a scenario that needs user code or another process.
 
     Raises:
-        ScenarioError: If it needs user code.
+        ScenarioError: If it needs one of them.
     """
+    check_no_robot(scenario)
     for field, value in own_code(scenario).items():
         raise ScenarioError(
             f"{field} = {value!r}: a unit does not contain user code; allowed: scenarios without it"

@@ -113,25 +113,22 @@ def fly(address, model):
     link = mavlink.MAVLink(None, srcSystem=42, srcComponent=1)
     link.robust_parsing = True
     opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    opened.connect(address)
+    opened.bind(("127.0.0.1", 0))
     while not ended:
         ready, _, _ = select.select([opened], [], [], STEP)
         model.advance(time.monotonic() - begin)
-        try:
-            found = link.parse_buffer(opened.recv(2048)) if ready else None
-        except ConnectionRefusedError:  # nobody listens yet
-            continue
-        for message in found or ():
+        for message in (link.parse_buffer(opened.recv(2048)) if ready else None) or ():
             if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
                 model.command(message)
                 count += 1
         if model.time >= beat:
             beat += 1.0
-            opened.send(heartbeat().pack(link))
+            opened.sendto(heartbeat().pack(link), address)
         if model.time >= due:
             due = max(due + 0.02, model.time)
             place = (*model.position, model.down)
-            opened.send(position_report(round(model.time * 1e3), place, model.velocity).pack(link))
+            report = position_report(round(model.time * 1e3), place, model.velocity)
+            opened.sendto(report.pack(link), address)
     return count
 
 

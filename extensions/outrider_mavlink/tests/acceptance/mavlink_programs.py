@@ -109,10 +109,9 @@ def autopilot_run(
         stack.enter_context(started(folder / f"{name}-autopilot.log", autopilot(port)))
         simulator.wait(seconds + 120.0)
         process.wait(20.0)
-    files = (f"{name}.out", f"{name}-uav.out", f"{name}-autopilot.out")
-    summary, sent, received = (
-        json.loads((folder / file).read_text().splitlines()[-1]) for file in files
-    )
+    ours, theirs = (f"{name}.out", f"{name}-uav.out"), folder / f"{name}-autopilot.out"
+    summary, sent = (json.loads((folder / file).read_text()) for file in ours)
+    received = json.loads(theirs.read_text().splitlines()[-1])
     return summary, sent, received
 
 
