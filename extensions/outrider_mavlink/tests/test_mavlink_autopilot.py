@@ -4,110 +4,21 @@ import logging
 import math
 
 import msgspec
-import numpy as np
 import pytest
+from along import CHANGES, Along, Autopilot, kept, uav_of
 from test_mavlink import Station, select, texts
-from vehicle_model import HOVER, VehicleModel, heartbeat, position_report
+from vehicle_model import HOVER, heartbeat
 
 from bus.errors import ScenarioError
-from bus.messages.decision import NotCertified
 from bus.messages.vehicle import UavObservation
-from flights import distances, flown_by
 from outrider.running.summary import summarize
 from outrider_mavlink.autopilot import AutopilotPilot
 from outrider_mavlink.autopilot_link import OLDER, OTHER_AUTOPILOT, AutopilotLink
 from outrider_mavlink.dialect import mavlink
 from outrider_mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE
-from outrider_mavlink.udp import UNREADABLE, Address, Network
+from outrider_mavlink.udp import UNREADABLE, Network
 from sim.engine.briefing import uav_briefing
 from sim.scenario.loading import load_scenario
-
-DECLARED = 0.3
-"""Declared bound of the tracking error [m]."""
-CHANGES = (
-    "law.name=certified",
-    "uav.0.body=reported",
-    f"certificate.max_tracking_error={DECLARED}",
-    "detections.dropout=0",
-)
-START = HOVER
-
-
-class Autopilot(Station):
-    """Flies a vehicle model, or is always at its setpoint, and reports its state."""
-
-    def __init__(self, link, port, model=None):
-        super().__init__(link, number=42)
-        self.mav.srcComponent = 1
-        self.to, self.model = ("127.0.0.1", port), model
-        self.boot, self.place, self.velocity = 0, START, (0.0, 0.0)
-        self.setpoints, self.requests = [], []
-
-    def report(self, **changes):
-        self.boot += 50
-        message = position_report(self.boot, self.place, self.velocity)
-        for field, value in changes.items():
-            setattr(message, field, value)
-        return message
-
-    def live(self, time, *, moves=True, reports=True):
-        """Receive setpoints, fly up to a time [s], and report."""
-        arrived = self.arrived()
-        self.requests += select(arrived, "COMMAND_LONG")
-        wanted = select(arrived, "SET_POSITION_TARGET_LOCAL_NED")
-        self.setpoints += wanted
-        if self.model is not None:
-            for one in wanted:
-                self.model.command(one)
-            self.model.advance(time)
-            self.place = (*self.model.position, self.model.down)
-            self.velocity = tuple(self.model.velocity)
-        elif not moves:
-            self.velocity = (0.0, 0.0)
-        elif wanted:
-            one = wanted[-1]
-            self.place, self.velocity = (one.x, one.y, one.z), (one.vx, one.vy)
-        if reports:
-            self.socket.sendto(self.report().pack(self.mav), self.to)
-
-
-class Along:
-    """A flight in this process with an autopilot, both in simulated time."""
-
-    def __init__(self, *changes, model=None, duration=15.0):
-        given = [*CHANGES, f"duration={duration}", *changes]
-        self.scenario = load_scenario("escort", overrides=given)
-        self.now = 0.0
-        self.network = Network(listen=[Address("127.0.0.1", 0)])
-        self.link = AutopilotLink(self.network, lambda: self.now)
-        port = self.network._links[0].socket.getsockname()[1]
-        self.autopilot = Autopilot(self.link, port, model)
-        self.pilot = AutopilotPilot(self.link)
-        self.reports = []
-
-    def fly(
-        self, each_tick=lambda _tick: None, *, moves=lambda _tick: True, reports=lambda _tick: True
-    ):
-        arrived = self.autopilot.send(heartbeat(), self.autopilot.report())
-        self.autopilot.requests += select(arrived, "COMMAND_LONG")
-
-        def act(seen):
-            self.now = seen.time
-            each_tick(seen.tick)
-            self.link.turn(0.0)
-            command = self.pilot.act(seen)
-            self.reports.append(command.report)
-            self.pilot.prepare()
-            self.link.refresh()
-            after = (seen.tick + 1) * self.scenario.dt
-            self.autopilot.live(after, moves=moves(seen.tick), reports=reports(seen.tick))
-            return command
-
-        return flown_by(self.pilot, self.scenario, act)
-
-    def close(self):
-        self.network.close()
-        self.autopilot.socket.close()
 
 
 @pytest.fixture(name="along")
@@ -125,54 +36,8 @@ def a_plain_flight():
     return flight
 
 
-def flown_with(model, *changes, duration=15.0, **events):
-    """Fly with a vehicle model; return the flight, its summary, and the pilot."""
-    along = Along(*changes, model=model, duration=duration)
-    flight = along.fly(**events)
-    along.close()
-    return flight, summarize(flight, seconds=1.0), along.pilot
-
-
 def same_bits(flight, plain):
     return flight.recorder.states.tobytes() == plain.recorder.states.tobytes()
-
-
-def kept(summary):
-    """Return whether no counter shows an error in the certificate."""
-    return (summary.certified_while_lost, summary.certificate_broken) == (0, 0)
-
-
-def uav_of(flight):
-    return flight.world.names.index("uav_0")
-
-
-def test_the_robot_is_the_true_uav_of_the_run():
-    model, seen = VehicleModel(wind=(1.5, -1.0)), []
-
-    def each_tick(_tick):
-        north, east = model.position
-        seen.append((east - START[1], north - START[0]))
-
-    flight, summary, pilot = flown_with(model, each_tick=each_tick)
-    states, reference = (
-        array[:-1, uav_of(flight)] for array in (flight.recorder.states, flight.recorder.reference)
-    )
-    robot = np.array(seen) + reference[0, :2]
-    # the velocity bridges one tick; tick 1 has no report yet
-    assert np.abs(states[2:, :2] - robot[2:]).max() < 0.003
-    assert np.abs(reference[2:, :2] - robot[2:]).max() > 0.05
-    uav, ugv = (
-        flight.world.position[flight.world.names.index(name)] for name in ("uav_0", "ugv_0")
-    )
-    assert distances(flight)[-1] == pytest.approx(math.dist(uav, ugv))
-    assert summary.largest_tracking_error == pytest.approx(pilot.largest_deviation, abs=0.01)
-    assert (summary.tracking_exceeded, pilot.held_ticks, flight.robots.unreported["uav_0"]) == (
-        0,
-        0,
-        2,
-    )
-    assert kept(summary)
-    assert summary.certified_share > 0.95
 
 
 def test_the_same_robot_flies_the_same_bits(along, plain):
@@ -187,12 +52,12 @@ def test_the_same_robot_flies_the_same_bits(along, plain):
 def test_setpoints_are_the_track_from_where_the_autopilot_hovers(along):
     flight = along.fly()
     first, last = along.autopilot.setpoints[0], along.autopilot.setpoints[-1]
-    assert (first.x, first.y, first.z) == pytest.approx(START)
+    assert (first.x, first.y, first.z) == pytest.approx(HOVER)
     uav = flight.recorder.reference[:, uav_of(flight)]
     (x, y), (v_x, v_y) = uav[-2][:2] - uav[0][:2], uav[-2][2:4]
-    assert (last.x - START[0], last.y - START[1]) == pytest.approx((y, x), abs=1e-5)
+    assert (last.x - HOVER[0], last.y - HOVER[1]) == pytest.approx((y, x), abs=1e-5)
     assert (last.vx, last.vy) == pytest.approx((v_y, v_x), abs=1e-5)
-    assert last.z == START[2]
+    assert last.z == HOVER[2]
     assert (last.target_system, last.type_mask) == (42, 0b110_000_000_000)
 
 
@@ -212,39 +77,6 @@ def test_run_waits_uncertified_for_a_lagging_autopilot(along, caplog):
     assert summary.tracking_exceeded > 0
     assert along.pilot.dropped > 0
     assert summary.visibility_violations == 0
-    assert kept(summary)
-
-
-@pytest.mark.parametrize("declared", [DECLARED, 0.15])
-def test_every_excess_of_the_declared_bound_is_counted(declared):
-    model = VehicleModel(gust=0.3, seed=1)
-
-    def storm(tick):
-        model.wind = (0.0, 8.0) if 100 <= tick < 180 else (0.0, 0.0)
-
-    change = f"certificate.max_tracking_error={declared}"
-    flight, summary, pilot = flown_with(model, change, each_tick=storm)
-    off = flight.recorder.states[:-1, uav_of(flight), :2]
-    off = np.hypot(*(off - flight.recorder.reference[:-1, uav_of(flight), :2]).T)
-    assert summary.tracking_exceeded == int((off > declared).sum()) > 20
-    assert summary.largest_tracking_error > 0.35
-    assert pilot.held_ticks > 20
-    assert kept(summary)
-    assert flight.recorder.escorts[-2, 0, 6] == 1.0  # certified again
-
-
-def test_silence_is_counted_until_the_autopilot_is_back():
-    silent = range(100, 160)
-    flight, summary, pilot = flown_with(
-        VehicleModel(gust=0.5), reports=lambda tick: tick not in silent
-    )
-    unreported = flight.robots.unreported["uav_0"]
-    assert unreported == pytest.approx(2 + 60 - 20, abs=1)
-    assert summary.uncertified[NotCertified.NO_ROBOT_STATE] == unreported
-    assert pilot.held_ticks == pytest.approx(60 - 20, abs=1)
-    certified = flight.recorder.escorts[:-1, 0, 6]
-    assert not (certified[124:160] == 1.0).any()
-    assert certified[-1] == 1.0
     assert kept(summary)
 
 
@@ -315,20 +147,6 @@ def test_restarted_autopilot_is_accepted_again(along):
     assert along.link.peer.address[1] == other.port
     assert along.link.armed
     other.socket.close()
-
-
-def test_a_flight_goes_on_after_a_restart_of_the_autopilot():
-    along = Along(model=VehicleModel())
-
-    def each_tick(tick):
-        if tick == 160:
-            along.autopilot.boot = 0
-
-    flight = along.fly(each_tick, reports=lambda tick: not 100 <= tick < 160)
-    along.close()
-    assert along.pilot.held_ticks > 0
-    assert flight.recorder.escorts[-2, 0, 6] == 1.0
-    assert summarize(flight, seconds=1.0).largest_tracking_error < DECLARED
 
 
 def test_a_silent_autopilot_is_asked_again_for_telemetry(along):
