@@ -21,7 +21,7 @@ from observed import Observer
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.reader import entries, flight_of, load
 from outrider.recording.refly import refly, restore
-from outrider.recording.schemas import Commands, head_of
+from outrider.recording.schemas import Commands, OperatorCommand, head_of
 from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import InProcess, make_pilots
 from sim.scenario.loading import load_scenario
@@ -77,6 +77,7 @@ ACTIONS = {
     9: [
         ("teleoperate", "ugv_0", Teleoperation(operator="anna", velocity=(0.1, 1.0 / 3.0))),
         ("teleoperate", "ugv_0", Teleoperation(operator="ben", goal=(21.0, 22.0))),
+        ("teleoperate", "ugv_0", Teleoperation(operator="ben", speed=-0.1, turn_rate=0.2)),
     ],
     20: [("degrade", LinkKind.RADIO, "uav_0", LinkSettings(loss=0.5))],
     40: [("order", Law(name="switching"))],
@@ -110,12 +111,14 @@ def test_operator_messages_and_changes_are_recorded_with_ticks(tmp_path: Path) -
     flight.fly(exchange, on_tick=lambda: recorder.tick(flight))
     recorder.close()
     recording = flight_of(path)
-    assert [word.tick for _, word in recording.operator_commands] == [0, 9, 9, 41]
+    assert [word.tick for _, word in recording.operator_commands] == [0, 9, 9, 9, 41]
     assert {ugv for ugv, _ in recording.operator_commands} == {"ugv_0"}
     assert [
-        Teleoperation(operator=w.operator, velocity=w.velocity, goal=w.goal)
-        for _, w in recording.operator_commands
-    ] == exchange.received
+        OperatorCommand(tick=command.tick, **msgspec.structs.asdict(received))
+        for (_, command), received in zip(
+            recording.operator_commands, exchange.received, strict=True
+        )
+    ] == [command for _, command in recording.operator_commands]
     radio = {"link": LinkKind.RADIO, "vehicle": "uav_0", "settings": LinkSettings(loss=0.5)}
     assert recording.changes == [
         Change(tick=7, control=Control(action=Action.DRIVER, vehicle="ugv_0", driver="teleop")),
@@ -127,7 +130,7 @@ def test_operator_messages_and_changes_are_recorded_with_ticks(tmp_path: Path) -
     times = [entry.time for entry in found]
     assert times == sorted(times)
     stamps = [entry.time for entry in found if entry.topic in ("/ugv_0/operator", "/changes")]
-    assert stamps == [round(tick * ONE.dt * 1e9) for tick in (0, 7, 9, 9, 20, 40, 41, 41)]
+    assert stamps == [round(tick * ONE.dt * 1e9) for tick in (0, 7, 9, 9, 9, 20, 40, 41, 41)]
     assert refly(recording).trajectory_sha256 == flight.recorder.sha256()
     for known in (flight, restore(recording)):
         assert (known.law, known.drivers) == (Law(name="switching"), {"ugv_0": "teleop"})

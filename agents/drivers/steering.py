@@ -6,7 +6,7 @@ from agents.drivers.parameters import UgvParameters, ugv_parameters
 from bus.messages.vehicle import UgvBriefing, UgvObservation
 from sim.compiling.compile import compiled
 from sim.compiling.records import records
-from sim.models.kinematics import POINT, UgvState
+from sim.models.kinematics import DIFFERENTIAL, POINT, UgvState
 from sim.models.vehicles import brake, clip_norm, norm, speed_to_stop_within
 
 
@@ -100,13 +100,19 @@ class Steering:
     ) -> tuple[float, float]:
         """Return the acceleration [m/s²] towards a speed along the heading and a turn rate, of a UGV that steers.
 
+        A differential drive whose wheels are too slow for both drives the same curve more slowly.
+
         Args:
             observation: Observation of the UGV.
             speed: Speed [m/s]; negative: in reverse.
             turn_rate: Change of the heading per second [rad/s]; positive: to the left.
         """
-        speed = max(-self.v_max, min(float(speed), self.v_max))
-        return move(self._ugv, own_state(observation), speed, float(turn_rate) * self.dt, 1.0)
+        speed, turn_rate = max(-self.v_max, min(float(speed), self.v_max)), float(turn_rate)
+        if self._ugv.kinematics.kind == DIFFERENTIAL:
+            wheel = abs(speed) + 0.5 * self._ugv.kinematics.track * abs(turn_rate)
+            share = min(1.0, self.v_max / wheel) if wheel > 0.0 else 1.0
+            speed, turn_rate = share * speed, share * turn_rate
+        return move(self._ugv, own_state(observation), speed, turn_rate * self.dt, 1.0)
 
     def to_goal(
         self, observation: UgvObservation, goal: tuple[float, float]

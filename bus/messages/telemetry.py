@@ -198,6 +198,8 @@ class Geometry(Message, frozen=True, kw_only=True):
     """Length of a tick [s]."""
     limits: dict[Name, Limits] = {}
     """Bounds of each vehicle, by name."""
+    max_turn_rates: dict[Name, Positive] = {}
+    """Largest turn rate of each UGV that steers [rad/s]; other vehicles move in any direction."""
     uavs: dict[Name, Name]
     """UGV of each UAV, by name."""
     goals: dict[Name, tuple[Vector, ...]] = {}

@@ -163,8 +163,10 @@ class SpaceView:
             x, y = truth.vehicles[ring.around].position
             drawn.move(x, y, 0.03).scale(radius, radius, 1.0)
         for name, box in self._ugvs.items():
-            x, y = truth.vehicles[name].position
-            box.move(x, y, 0.5 * self._size)
+            own = truth.vehicles[name]
+            box.move(*own.position, 0.5 * self._size)
+            if own.heading is not None:
+                box.rotate(0.0, 0.0, own.heading)
         for escort in truth.escorts:
             if escort.uav in altitudes and escort.uav in self._uavs:
                 self._show_uav(scene, truth, escort, altitudes)

@@ -64,6 +64,8 @@ class Moving(NamedTuple):
     """Altitude above the ground [m]; None: the vehicle moves in the plane."""
     climb_rate: float = 0.0
     """Climb rate [m/s]."""
+    heading: float | None = None
+    """Heading of a UGV that steers [rad], from east to north; None: the vehicle moves in any direction."""
 
 
 def _clipped(value: float) -> int:
@@ -133,7 +135,7 @@ class VehicleSystem:
         self.team: TeamState | None = None
         """State in its team; None: it has none."""
         self._flat_height = height if flies else 0.0
-        self._heading = 0.0  # [rad], from north over east
+        self._heading = 0.0  # or the course of a point [rad], from north over east
         self.capabilities = 0
         """MAVLink capability flags beyond the common ones."""
         self.sender = mavlink.MAVLink(None, srcSystem=number, srcComponent=AUTOPILOT)
@@ -160,7 +162,9 @@ class VehicleSystem:
         """Update the motion of the vehicle."""
         self.moving = moving
         v_x, v_y = moving.velocity
-        if math.hypot(v_x, v_y) > _MIN_COURSE_SPEED:
+        if moving.heading is not None:
+            self._heading = math.remainder(0.5 * math.pi - moving.heading, math.tau)
+        elif math.hypot(v_x, v_y) > _MIN_COURSE_SPEED:
             self._heading = math.atan2(v_x, v_y)
 
     def build(self, number: int) -> MavMessage | None:

@@ -4,10 +4,11 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 
-from bus.messages.base import Message, Vector
+from bus.messages.base import Message
 from bus.messages.control import Action, Control
 from bus.messages.scenario import Law, Limits
 from bus.messages.telemetry import Status, TeamStatus, Truth
+from bus.messages.vehicle import Teleoperation
 from bus.numbers import above, exact
 from bus.registry import LAWS, TELEOP
 from outrider.view.operator import Helm, RunClient
@@ -88,6 +89,7 @@ class RunGateway(Gateway):
                     vehicle.acceleration,
                     altitude=vehicle.altitude,
                     climb_rate=vehicle.climb_rate,
+                    heading=vehicle.heading,
                 )
                 system.move(moving)
                 system.followed = None if system.flies else moving
@@ -226,7 +228,10 @@ class RunGateway(Gateway):
         return ACCEPTED if self._helm.hand_back(system.name) else DENIED
 
     def manual(self, peer: Peer, system: VehicleSystem, message: MavMessage) -> None:
-        """Drive a UGV: joystick forward is north, right is east; the first deflection takes control."""
+        """Drive a UGV; the first deflection of the joystick takes control.
+
+        Forward is north and right is east. A UGV that steers drives forward and turns to the right.
+        """
         if system.flies:
             self.reject(NOT_ALLOWED, f"MANUAL_CONTROL of the UAV {system.name}")
             return
@@ -241,15 +246,24 @@ class RunGateway(Gateway):
         if not driven and not (north or east):
             return  # a centered joystick takes no control
         if self.holds(peer) and (driven or self._take_control(system)):
-            wanted = self._velocity(system, east / _FULL, north / _FULL)
-            self._helm.steer(system.name, f"MAVLink {peer.system}", wanted)
+            name = f"MAVLink {peer.system}"
+            self._helm.steer(system.name, self._drive_of(system, name, north / _FULL, east / _FULL))
 
-    def _velocity(self, system: VehicleSystem, east: float, north: float) -> Vector:
+    def _drive_of(
+        self, system: VehicleSystem, operator: str, forward: float, right: float
+    ) -> Teleoperation:
+        """Return the input of an operator for a deflection of the joystick, as shares of the full one."""
         geometry = self._status.geometry
         limits = None if geometry is None else geometry.limits.get(system.name)
         full = _UNBOUNDED if limits is None or limits.max_speed is None else limits.max_speed
-        longer = max(1.0, math.hypot(east, north))  # both axes reach full deflection in a corner
-        return full * east / longer, full * north / longer
+        turn_rate = None if geometry is None else geometry.max_turn_rates.get(system.name)
+        if turn_rate is not None:
+            return Teleoperation(
+                operator=operator, speed=full * forward, turn_rate=-turn_rate * right
+            )
+        longer = max(1.0, math.hypot(right, forward))  # both axes are full in a corner
+        velocity = full * right / longer, full * forward / longer
+        return Teleoperation(operator=operator, velocity=velocity)
 
     def _take_control(self, system: VehicleSystem) -> bool:
         now = time.monotonic()

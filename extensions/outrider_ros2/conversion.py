@@ -1,8 +1,9 @@
 """Conversion of telemetry to ROS 2 messages: one pure function per topic.
 
-Frames follow REP 103 and 105: `map` with x east, y north, z up, in metres; `uav_0/base_link` moves in it. Vehicles are
-points without heading, so a base_link always has the orientation of the map. A twist in `uav_0/base_link` is therefore
-the velocity in `map`. z is 0 except for UAVs with an altitude. Stamps are simulated time.
+Frames follow REP 103 and 105: `map` with x east, y north, z up, in metres; `uav_0/base_link` moves in it. The base_link
+of a UGV that steers has its heading as x axis. All other vehicles are points without a heading: their base_link has the
+orientation of `map`, so a twist in it is the velocity in `map`. z is 0 except for UAVs with an altitude. Stamps are
+simulated time.
 """
 
 import math
@@ -13,6 +14,7 @@ import numpy as np
 from bus.errors import ScenarioError
 from bus.messages.base import Vector
 from bus.messages.telemetry import EscortTruth, Status, Truth
+from outrider_ros2.headings import TurnRate, in_base_link
 from outrider_ros2.interfaces import RosMessage, make
 from outrider_ros2.places import Vector3, place_of
 from outrider_ros2.run_view import PathTrack, RunView
@@ -64,13 +66,17 @@ def vector(x: float, y: float, z: float = 0.0) -> RosMessage:
     return make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
 
 
-def _upright() -> RosMessage:
-    return make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+def _rotation(heading: float | None) -> RosMessage:
+    """Return a rotation about the vertical axis to a heading [rad]; None: no rotation."""
+    half = 0.5 * (heading or 0.0)
+    return make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(half), w=math.cos(half))
 
 
-def pose_at(position: Vector | Vector3) -> RosMessage:
-    """Return a pose without rotation [m], on the ground without a third coordinate."""
-    return make("geometry_msgs/msg/Pose", position=point_at(position), orientation=_upright())
+def pose_at(position: Vector | Vector3, heading: float | None = None) -> RosMessage:
+    """Return a pose at a position [m], on the ground without a third coordinate; `heading`: None: no rotation."""
+    return make(
+        "geometry_msgs/msg/Pose", position=point_at(position), orientation=_rotation(heading)
+    )
 
 
 def _covariance(xx: float = 0.0, xy: float = 0.0, yy: float = 0.0) -> np.ndarray[Any, Any]:
@@ -84,14 +90,22 @@ def clock(truth: Truth) -> RosMessage:
     return make("rosgraph_msgs/msg/Clock", clock=stamp(truth.time))
 
 
-def transform(seconds: float, parent: str, child: str, position: Vector | Vector3) -> RosMessage:
-    """Return the transform from a parent to a child frame at a position [m]."""
+def transform(
+    seconds: float,
+    parent: str,
+    child: str,
+    position: Vector | Vector3,
+    heading: float | None = None,
+) -> RosMessage:
+    """Return the transform from a parent to a child frame at a position [m] with a heading [rad]; None: no rotation."""
     return make(
         "geometry_msgs/msg/TransformStamped",
         header=header(seconds, parent),
         child_frame_id=child,
         transform=make(
-            "geometry_msgs/msg/Transform", translation=vector(*position), rotation=_upright()
+            "geometry_msgs/msg/Transform",
+            translation=vector(*position),
+            rotation=_rotation(heading),
         ),
     )
 
@@ -99,7 +113,7 @@ def transform(seconds: float, parent: str, child: str, position: Vector | Vector
 def transforms(truth: Truth) -> RosMessage:
     """Return the true pose of each vehicle: `map` to its base_link."""
     found = [
-        transform(truth.time, MAP, base_link(name), place_of(vehicle))
+        transform(truth.time, MAP, base_link(name), place_of(vehicle), vehicle.heading)
         for name, vehicle in truth.vehicles.items()
     ]
     return make("tf2_msgs/msg/TFMessage", transforms=found)
@@ -118,31 +132,54 @@ def static_transforms(view: RunView) -> RosMessage:
     return make("tf2_msgs/msg/TFMessage", transforms=found)
 
 
-def odometry(seconds: float, vehicle: str, position: Vector3, velocity: Vector3) -> RosMessage:
-    """Return the odometry of a vehicle.
+def odometry(
+    seconds: float,
+    vehicle: str,
+    position: Vector3,
+    velocity: Vector3,
+    heading: float | None = None,
+    turn_rate: float = 0.0,
+) -> RosMessage:
+    """Return the odometry of a vehicle, with its twist in its base_link.
 
     Args:
         seconds: Simulated time [s].
         vehicle: Name of the vehicle.
         position: Position in `map` [m].
-        velocity: Velocity in its base_link, which has the orientation of `map` [m/s].
+        velocity: Velocity in `map` [m/s].
+        heading: Heading of a UGV that steers [rad]; None: the vehicle is a point.
+        turn_rate: Its turn rate [rad/s].
     """
-    twist = make("geometry_msgs/msg/Twist", linear=vector(*velocity), angular=vector(0.0, 0.0))
+    v_x, v_y, climb = velocity
+    twist = make(
+        "geometry_msgs/msg/Twist",
+        linear=vector(*in_base_link((v_x, v_y), heading), climb),
+        angular=vector(0.0, 0.0, turn_rate),
+    )
     return make(
         "nav_msgs/msg/Odometry",
         header=header(seconds),
         child_frame_id=base_link(vehicle),
         pose=make(
-            "geometry_msgs/msg/PoseWithCovariance", pose=pose_at(position), covariance=_covariance()
+            "geometry_msgs/msg/PoseWithCovariance",
+            pose=pose_at(position, heading),
+            covariance=_covariance(),
         ),
         twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=_covariance()),
     )
 
 
-def true_odometry(truth: Truth, vehicle: str) -> RosMessage:
-    """Return the true pose and velocity of a vehicle."""
+def true_odometry(view: RunView, truth: Truth, vehicle: str) -> RosMessage:
+    """Return the true pose and velocity of a vehicle; the turn rate is that since the previous message."""
     state = truth.vehicles[vehicle]
-    return odometry(truth.time, vehicle, place_of(state), (*state.velocity, state.climb_rate))
+    return odometry(
+        truth.time,
+        vehicle,
+        place_of(state),
+        (*state.velocity, state.climb_rate),
+        state.heading,
+        view.turn_rates.get(vehicle, TurnRate()).value,
+    )
 
 
 def acceleration(truth: Truth, vehicle: str) -> RosMessage:
@@ -153,7 +190,9 @@ def acceleration(truth: Truth, vehicle: str) -> RosMessage:
         header=header(truth.time, base_link(vehicle)),
         accel=make(
             "geometry_msgs/msg/Accel",
-            linear=vector(*state.acceleration, state.vertical_acceleration),
+            linear=vector(
+                *in_base_link(state.acceleration, state.heading), state.vertical_acceleration
+            ),
             angular=vector(0.0, 0.0),
         ),
     )
@@ -163,8 +202,10 @@ def path(view: RunView, truth: Truth, vehicle: str) -> RosMessage:
     """Return the path of a vehicle so far."""
     track = view.tracks.get(vehicle, PathTrack())
     poses = [
-        make("geometry_msgs/msg/PoseStamped", header=header(time), pose=pose_at(position))
-        for time, position in zip(track.times, track.positions, strict=True)
+        make("geometry_msgs/msg/PoseStamped", header=header(time), pose=pose_at(position, heading))
+        for time, position, heading in zip(
+            track.times, track.positions, track.headings, strict=True
+        )
     ]
     return make("nav_msgs/msg/Path", header=header(truth.time), poses=poses)
 

@@ -110,7 +110,7 @@ def marker(
 
 
 def discs(view: RunView) -> RosMessage:
-    """Return markers for the radii around the vehicles, the vehicles, and the edge of the area.
+    """Return markers for the radii around the vehicles, the vehicles with their headings, and the edge of the area.
 
     Radii that depend on a UAV's altitude are in `sight`.
     """
@@ -136,6 +136,18 @@ def discs(view: RunView) -> RosMessage:
             scale=(0.4, 0.4, 0.15),
         )
         for vehicle in scene.vehicles
+    ]
+    found += [
+        marker(
+            frame=base_link(vehicle.name),
+            name=f"{vehicle.name}/heading",
+            shape=_LINE_STRIP,
+            color=_color(vehicle.color, 1.0),
+            scale=(0.08, 0.0, 0.0),
+            points=((0.0, 0.0), (0.5, 0.0)),
+        )
+        for vehicle in scene.vehicles
+        if vehicle.steers
     ]
     corners = [
         (0.0, 0.0),

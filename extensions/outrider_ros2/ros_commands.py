@@ -1,6 +1,7 @@
 """Operator commands from ROS 2: velocities and service calls, forwarded after a check or counted as rejected.
 
-A UGV has no heading: `linear.x` is its velocity east and `linear.y` north, both in `map` and in its base_link.
+A UGV that is a point has no heading: `linear.x` is its velocity east and `linear.y` north, both in `map` and in its
+base_link. For a UGV that steers, a twist is in its base_link: `linear.x` is its speed and `angular.z` its turn rate.
 """
 
 import math
@@ -9,10 +10,12 @@ import time
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
-from bus.messages.base import Vector
+import msgspec
+
 from bus.messages.control import Action, Control
 from bus.messages.scenario import Limits
 from bus.messages.telemetry import Status
+from bus.messages.vehicle import Teleoperation
 from bus.numbers import above, exact
 from bus.registry import TELEOP
 from outrider.running.refused import Refusals, Refused
@@ -50,12 +53,18 @@ class VelocityCommand(NamedTuple):
     """Velocity commanded to a UGV."""
 
     vehicle: str
-    velocity: Vector
-    """Velocity in `map` [m/s]."""
+    drive: Teleoperation
+    """Velocity in `map`, or speed and turn rate of a UGV that steers."""
 
 
 def velocity_command(
-    key: str, payload: bytes, *, domain: int, namespace: str, ugvs: Mapping[str, Limits]
+    key: str,
+    payload: bytes,
+    *,
+    domain: int,
+    namespace: str,
+    ugvs: Mapping[str, Limits],
+    steering: Collection[str] = (),
 ) -> VelocityCommand:
     """Return the velocity command in a message on `cmd_vel`.
 
@@ -65,6 +74,7 @@ def velocity_command(
         domain: ROS 2 domain id of the bridge.
         namespace: Prefix of the bridge's topic names; empty: none.
         ugvs: UGVs of the run and their bounds.
+        steering: UGVs that steer.
 
     Raises:
         Refused: If the message is invalid, with the cause.
@@ -74,7 +84,8 @@ def velocity_command(
     if name[:-2] != _space(namespace) or vehicle not in ugvs:
         raise Refused("no such UGV", f"{'/'.join(name[:-1])}; available: {', '.join(ugvs)}")
     message = decode_checked(interface, hashed, payload, *TWISTS)
-    return VelocityCommand(vehicle, _velocity(message, vehicle, ugvs[vehicle]))
+    steers, limits = vehicle in steering, ugvs[vehicle]
+    return VelocityCommand(vehicle, _drive_of(message, vehicle, limits, steers=steers))
 
 
 def service_of(
@@ -113,25 +124,41 @@ def _space(namespace: str) -> list[str]:
     return [part for part in namespace.split("/") if part]
 
 
-def _velocity(message: RosMessage, vehicle: str, limits: Limits) -> Vector:
+def _drive_of(message: RosMessage, vehicle: str, limits: Limits, *, steers: bool) -> Teleoperation:
+    """Return the operator's input in a twist.
+
+    Raises:
+        Refused: If the UGV cannot execute it, with the cause. A turn rate beyond its limit is none: it turns as fast
+            as it can.
+    """
     stamped = hasattr(message, "header")
     twist = message.twist if stamped else message
-    if stamped and message.header.frame_id not in ("", MAP, base_link(vehicle)):
-        raise Refused(
-            "another frame", f"{message.header.frame_id}; allowed: {MAP}, {base_link(vehicle)}"
-        )
+    frames = (base_link(vehicle),) if steers else (MAP, base_link(vehicle))
+    if stamped and message.header.frame_id not in ("", *frames):
+        raise Refused("another frame", f"{message.header.frame_id}; allowed: {', '.join(frames)}")
     moves, turns = twist.linear, twist.angular
     values = (moves.x, moves.y, moves.z, turns.x, turns.y, turns.z)
     if not all(map(math.isfinite, values)):
         raise Refused("not finite", f"{values}")
-    if any(values[2:]):
+    if steers and any(values[1:5]):
+        raise Refused(
+            "not along the heading",
+            f"{values}; allowed: linear.x (forward) and angular.z (to the left), all others 0",
+        )
+    if not steers and any(values[2:]):
         raise Refused("climbs or turns", f"{values}; allowed: x (east) and y (north), all others 0")
     speed, most = math.hypot(moves.x, moves.y), limits.max_speed
     if most is not None and speed > most * (1.0 + _SPEED_TOLERANCE):
         raise Refused(
             "beyond the limits", f"{above(speed, most)} m/s; allowed: up to {exact(most)}"
         )
-    return float(moves.x), float(moves.y)
+    wanted: dict[str, object] = {"velocity": (float(moves.x), float(moves.y))}
+    if steers:
+        wanted = {"speed": float(moves.x), "turn_rate": float(turns.z)}
+    try:
+        return msgspec.convert({"operator": _DRIVER} | wanted, Teleoperation)
+    except msgspec.ValidationError as error:
+        raise Refused("beyond the limits", str(error)) from error
 
 
 def _control_of(uav: str, service: str, *, resumes: bool) -> Control:
@@ -193,6 +220,11 @@ class RosCommands:
         geometry = self._status.geometry
         return {name: own for name, own in geometry.limits.items() if name not in geometry.uavs}
 
+    def _steering(self) -> Collection[str]:
+        """Return the UGVs that steer."""
+        geometry = None if self._status is None else self._status.geometry
+        return () if geometry is None else geometry.max_turn_rates
+
     def _uavs(self) -> set[str]:
         """Return the UAVs in teams."""
         team = None if self._status is None else self._status.team
@@ -207,6 +239,7 @@ class RosCommands:
                     domain=self._node.domain,
                     namespace=self._namespace,
                     ugvs=self._ugvs(),
+                    steering=self._steering(),
                 )
                 self._forward(command, sender)
             except Refused as refused:
@@ -224,7 +257,7 @@ class RosCommands:
             driver != TELEOP or self._helm.displaced(self._status, command.vehicle)
         ):
             self._helm.take(command.vehicle, driver)
-        if not self._helm.steer(command.vehicle, _DRIVER, command.velocity):
+        if not self._helm.steer(command.vehicle, command.drive):
             raise Refused("send queue full", command.vehicle)
         self.accepted += 1
 

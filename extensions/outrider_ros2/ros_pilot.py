@@ -21,9 +21,11 @@ from bus.messages.vehicle import (
     UavCommand,
     UavObservation,
     UgvCommand,
+    UgvObservation,
 )
 from outrider.running.refused import Refusals, Refused
 from outrider_ros2.conversion import MAP, base_link, detection, odometry, stamp
+from outrider_ros2.headings import TurnRate, in_map
 from outrider_ros2.interfaces import RosMessage, decode_checked, encode, make
 from outrider_ros2.pictures import buildings
 from outrider_ros2.roles import NO_HASH
@@ -63,6 +65,7 @@ class RosPilot:
         self._answer: Command | None = None
         self._waits: Callable[[], bool] | None = None
         self._buildings: tuple[Building, ...] = ()
+        self._turning = TurnRate()
         self.refusals = Refusals(log_refused)
         self.answered = 0
         """Number of forwarded commands."""
@@ -89,7 +92,7 @@ class RosPilot:
 
     def make(self, briefing: Briefing) -> "RosPilot":
         """Join the run, and publish the briefing."""
-        self._waits = None
+        self._waits, self._turning = None, TurnRate()
         self._send(BRIEFING, _text(briefing))
         self._buildings = ()
         self._add_buildings(briefing.buildings)
@@ -130,7 +133,9 @@ class RosPilot:
                     detection(one.time, name, one.relative_position, observation.altitude),
                 )
         position, velocity = (*observation.position, height), (*observation.velocity, climb)
-        own = odometry(observation.time, name, position, velocity)
+        heading = _heading_of(observation)
+        turn_rate = self._turning.update(observation.time, heading)
+        own = odometry(observation.time, name, position, velocity, heading, turn_rate)
         self._send(OWN_ODOMETRY, own)
         self._send(OBSERVATION, _text(observation))
 
@@ -211,10 +216,10 @@ class RosPilot:
                 "answers another tick",
                 f"stamp {then.sec}.{then.nanosec:09d}; allowed: the stamp of the observation",
             )
-        plain: dict[str, object] = {
-            "tick": awaited.tick,
-            "acceleration": (float(value.x), float(value.y)),
-        }
+        wanted = float(value.x), float(value.y)
+        if frame == base_link(self._party.name):
+            wanted = in_map(wanted, _heading_of(awaited))
+        plain: dict[str, object] = {"tick": awaited.tick, "acceleration": wanted}
         if isinstance(awaited, UavObservation) and awaited.altitude is not None:
             plain["vertical_acceleration"] = float(value.z)
         try:
@@ -227,6 +232,11 @@ class RosPilot:
         """Remove the publishers from the ROS graph."""
         for publisher in self._publishers.values():
             publisher.close()
+
+
+def _heading_of(observation: Observation) -> float | None:
+    """Return the heading of a UGV that steers [rad]; None: the vehicle is a point."""
+    return observation.heading if isinstance(observation, UgvObservation) else None
 
 
 def _text(message: Message) -> RosMessage:

@@ -100,8 +100,8 @@ TOPICS: tuple[TopicRow, ...] = (
         each=Each.VEHICLE,
         interface="nav_msgs/msg/Odometry",
         source=Truth,
-        convert=lambda _view, truth, name: conversion.true_odometry(truth, name),
-        about="True position and velocity of a vehicle.",
+        convert=conversion.true_odometry,
+        about="True pose and velocity of a vehicle, the latter in its base_link.",
     ),
     TopicRow(
         name="accel",
@@ -109,7 +109,7 @@ TOPICS: tuple[TopicRow, ...] = (
         interface="geometry_msgs/msg/AccelStamped",
         source=Truth,
         convert=lambda _view, truth, name: conversion.acceleration(truth, name),
-        about="Acceleration applied since the last tick, after clipping to the bounds.",
+        about="Acceleration applied since the last tick, after clipping to the bounds, in base_link.",
     ),
     TopicRow(
         name="path",
@@ -252,7 +252,7 @@ OWN_ODOMETRY = TopicRow(
     name=f"{PILOT}/odom",
     each=Each.VEHICLE,
     interface="nav_msgs/msg/Odometry",
-    about="Position and velocity in the vehicle's observation.",
+    about="Position, velocity and heading in the vehicle's observation.",
 )
 OWN_DETECTION = TopicRow(
     name=f"{PILOT}/detection",

@@ -175,7 +175,7 @@ class RecordingFile:
         """Write a tick for viewers, and log changes of role, and when a UGV is out of sight and in sight again."""
         if self._viewers.due(truth.time):
             places = {
-                name: (*one.position, *one.velocity, _number(one.altitude))
+                name: (*one.position, *one.velocity, _number(one.altitude), _number(one.heading))
                 for name, one in truth.vehicles.items()
             }
             escorts = {escort.uav: escort.ugv for escort in truth.escorts}
@@ -202,12 +202,7 @@ class RecordingFile:
         """Write an operator's command that a UGV received at a tick, which started at `seconds`."""
         self._put(
             schemas.operator_topic(ugv),
-            schemas.OperatorCommand(
-                tick=tick,
-                operator=command.operator,
-                velocity=command.velocity,
-                goal=command.goal,
-            ),
+            schemas.OperatorCommand(tick=tick, **msgspec.structs.asdict(command)),
             seconds,
         )
 

@@ -35,7 +35,7 @@ _UAV_HEIGHT, _UGV_HEIGHT = 1.0, 0.1
 """Heights at which viewers show UGVs, and UAVs without an altitude [m]."""
 
 Place = Sequence[float]
-"""Position [m], velocity [m/s] and altitude [m] of a vehicle: x, y, v_x, v_y, z; NaN: no altitude."""
+"""Position [m], velocity [m/s], altitude [m] and heading [rad] of a vehicle: x, y, v_x, v_y, z, θ; NaN: none."""
 
 
 def _color(code: str, opacity: float = 1.0) -> messages.Color:
@@ -178,10 +178,12 @@ class Viewers:
         time_ns: int,
     ) -> messages.FrameTransform:
         """Write one vehicle's pose, and return it as a transform."""
-        x, y, v_x, v_y, z = place
+        x, y, v_x, v_y, z, heading = place
         if not math.isnan(z):
             self._altitudes[name] = z
-        if v_x * v_x + v_y * v_y > 1e-6:
+        if not math.isnan(heading):
+            self._yaw[name] = heading
+        elif v_x * v_x + v_y * v_y > 1e-6:
             self._yaw[name] = math.atan2(v_y, v_x)
         half = 0.5 * self._yaw.get(name, 0.0)
         turn = messages.Quaternion(z=math.sin(half), w=math.cos(half))

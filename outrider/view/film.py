@@ -39,7 +39,7 @@ from sim.scene.colors import (
 )
 from sim.scene.frames import Frames
 from sim.scene.known import scene_of
-from sim.scene.model import observed_scene
+from sim.scene.model import Moment, headings_of, observed_scene
 from sim.scene.team import occurring
 from sim.server.flight import control_title
 
@@ -289,8 +289,11 @@ class Film:
             time=truth.time,
             sight=worst_sight(sight_of(one, self._r_v) for one in decisive(truth.escorts)),
             hazards=hazards,
-            altitudes=altitudes_of(truth.vehicles),
-            hidden={escort.uav for escort in truth.escorts if escort.sight_radius == 0.0},
+            moment=Moment(
+                altitudes=altitudes_of(truth.vehicles),
+                headings=headings_of(truth.vehicles),
+                hidden={escort.uav for escort in truth.escorts if escort.sight_radius == 0.0},
+            ),
             roles={name: roles[: row + 1] for name, roles in self._roles.items()},
         )
 

@@ -19,7 +19,7 @@ from sim.scene.altitude import sight_at
 from sim.scene.drawing import Map, legend_of
 from sim.scene.ground_map import HIT, ground_map
 from sim.scene.known import inner_radius, scene_of
-from sim.scene.model import Scene
+from sim.scene.model import Moment, Scene
 from sim.scene.team import LOOKS, dashes_of, in_role, known_roles, occurring
 from sim.server.flight import Flight
 
@@ -120,8 +120,13 @@ def draw_map(
     drawn.show(
         {name: states[:, k, :2] for k, name in enumerate(flight.world.names)},
         np.minimum(flight.world.coverage / flight.scenario.coverage.desired, 1.0),
-        altitudes=dict(zip(_names(flight), heights[:, 0].tolist(), strict=False)),
-        hidden={name for name, row in zip(_names(flight), heights, strict=False) if row[3] == 0.0},
+        moment=Moment(
+            altitudes=dict(zip(_names(flight), heights[:, 0].tolist(), strict=False)),
+            headings=flight.world.headings(),
+            hidden={
+                name for name, row in zip(_names(flight), heights, strict=False) if row[3] == 0.0
+            },
+        ),
         roles=_roles(flight),
     )
     return drawn.image

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from bus import keys
 from bus.errors import BusError
-from bus.messages.base import Message, Vector
+from bus.messages.base import Message
 from bus.messages.control import Action, Control
 from bus.messages.ground import GroundMap
 from bus.messages.team import Request, Role
@@ -198,9 +198,9 @@ class Helm:
         """Return true if another operator controls the UGV."""
         return _operator_of(status, vehicle) not in ("", self.operator)
 
-    def steer(self, vehicle: str, name: str, velocity: Vector | None) -> bool:
-        """Send the desired velocity [m/s] of the operator of this name; None: brake."""
-        return self._drive(vehicle, Teleoperation(operator=name, velocity=velocity))
+    def steer(self, vehicle: str, drive: Teleoperation) -> bool:
+        """Send an operator's input to a UGV; return false if it cannot be sent."""
+        return self._drive(vehicle, drive)
 
     def hand_back(self, vehicle: str, to: str = "") -> str:
         """Return control to a driver, by default the previous one; return its name, empty if none is known."""

@@ -22,6 +22,7 @@ from sim.engine.batch import Batch
 from sim.scene.altitude import worst_sight
 from sim.scene.ground_map import ground_map
 from sim.scene.known import scene_of
+from sim.scene.model import Moment
 from sim.world import World
 
 if TYPE_CHECKING:
@@ -138,14 +139,17 @@ class Drawing:
             if errors
             else "no UAV",
             hazards=ground,
-            altitudes={
-                uav.name: heights[k]
-                for uav, k in zip(world.uavs, world.escorts[:, 0].tolist(), strict=True)
-                if uav.initial_altitude is not None
-            },
-            hidden={
-                uav.name for uav, radius in zip(world.uavs, radii, strict=True) if radius == 0.0
-            },
+            moment=Moment(
+                altitudes={
+                    uav.name: heights[k]
+                    for uav, k in zip(world.uavs, world.escorts[:, 0].tolist(), strict=True)
+                    if uav.initial_altitude is not None
+                },
+                headings=world.headings(),
+                hidden={
+                    uav.name for uav, radius in zip(world.uavs, radii, strict=True) if radius == 0.0
+                },
+            ),
         )
         return frame[:, :, :3].copy()
 

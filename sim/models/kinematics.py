@@ -103,6 +103,18 @@ def largest_turn(
     return kinematics.max_curvature * min(before, after) * dt
 
 
+def largest_turn_rate(kinematics: Kinematics, v_max: float) -> float:
+    """Return the largest turn rate of a vehicle that steers [rad/s]: in place, or of a car at its maximum speed.
+
+    Args:
+        kinematics: Its kinematics.
+        v_max: Maximum speed [m/s].
+    """
+    before = 0.0 if kinematics.kind == DIFFERENTIAL else v_max
+    rate: float = largest_turn(kinematics, before, v_max, v_max, 1.0)
+    return rate
+
+
 @compiled
 def steer(
     kinematics: Kinematics,

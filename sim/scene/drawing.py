@@ -16,7 +16,10 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.lines import Line2D
+from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Circle, Ellipse
+from matplotlib.path import Path
+from matplotlib.transforms import Affine2D
 
 from bus.messages.ground import GroundMap
 from bus.messages.team import Role
@@ -25,7 +28,7 @@ from sim.scene.altitude import ring_radius
 from sim.scene.buildings import DrawnBuildings, DrawnShadow, legend_of_buildings
 from sim.scene.colors import COVERED, ESTIMATE, INK, LIMIT, MUTED, RULE, UAV, UGV
 from sim.scene.hazards import DrawnGround, legend_of_ground
-from sim.scene.model import Point, Ring, Scene
+from sim.scene.model import Moment, Point, Ring, Scene
 from sim.scene.team_drawing import DrawnCells, RoleTrack, legend_of_roles
 
 COVERAGE = LinearSegmentedColormap.from_list("covered", list(COVERED))
@@ -69,7 +72,11 @@ _STYLE: dict[str, Any] = {
     "agg.path.chunksize": 20000,
 }
 
-_PLANE: Mapping[str, float] = MappingProxyType({})
+_PLANE = Moment()
+_BODY = ((-0.9, -0.9), (0.5, -0.9), (1.6, 0.0), (0.5, 0.9), (-0.9, 0.9), (-0.9, -0.9))
+"""Marker of a UGV that steers: a square with a tip that points east."""
+_BODY_SIZE = 8.0 * 1.6 / 0.9
+"""Size of this marker, so that its square is as large as the marker of a point [pt]."""
 _NO_ROLES: Mapping[str, IntArray] = MappingProxyType({})
 Estimate = tuple[Point, tuple[float, float, float]]
 """UAV's estimate of its UGV's position [m], and its covariance xx, xy, yy [m²]."""
@@ -142,6 +149,12 @@ class Track:
         for artist, part in zip(self.artists, (path, path[:1], path[-1:]), strict=True):
             artist.set_data(part[:, 0], part[:, 1])
         return self
+
+    def turn(self, heading: float) -> None:
+        """Show the heading of a UGV that steers [rad]."""
+        body = MarkerStyle(Path(_BODY), transform=Affine2D().rotate(heading))
+        self.artists[-1].set_marker(body)
+        self.artists[-1].set_markersize(_BODY_SIZE)
 
 
 class Map:
@@ -232,8 +245,7 @@ class Map:
         coverage: npt.NDArray[Any] | None = None,
         estimates: Mapping[str, Estimate] | None = None,
         hazards: GroundMap | None = None,
-        altitudes: Mapping[str, float] = _PLANE,
-        hidden: Collection[str] = (),
+        moment: Moment = _PLANE,
         roles: Mapping[str, IntArray] = _NO_ROLES,
     ) -> None:
         """Show a moment of the run.
@@ -243,8 +255,7 @@ class Map:
             coverage: Share of the desired coverage, from 0 to 1, shape (rows, columns); None: unchanged.
             estimates: Estimate of each UAV that has one.
             hazards: Ground with its hazards; None: unchanged.
-            altitudes: Altitude of each UAV that has one [m].
-            hidden: UAVs from which a building hides their UGV.
+            moment: State of the vehicles.
             roles: Code of the `Role` at each point of the path of each UAV in a team, 0: unknown. Shape (points,).
         """
         if hazards is not None and self._hazards is not None:
@@ -257,6 +268,8 @@ class Map:
             self._cells = (coverage.shape[0], coverage.shape[1])
         for name, track in self._tracks.items():
             track.move(tracks[name])
+            if name in moment.headings:
+                track.turn(moment.headings[name])
         for name, path in self._role_tracks.items():
             path.move(tracks[name], roles.get(name))
         positions = {
@@ -266,12 +279,12 @@ class Map:
             self._borders.show(positions)
         for ring, circle in self._rings:
             circle.center = positions[ring.around]
-            circle.set_radius(ring_radius(self._scene, ring, altitudes))
+            circle.set_radius(ring_radius(self._scene, ring, moment.altitudes))
         if self._shadow is not None and self._cells is not None:
-            self._shadow.show(positions, altitudes, self._cells)
+            self._shadow.show(positions, moment.altitudes, self._cells)
         for (uav, ugv), line in self._sights.items():
             line.set_data(*zip(tracks[uav][-1], tracks[ugv][-1], strict=True))
-            line.set_color(LIMIT if uav in hidden else MUTED)
+            line.set_color(LIMIT if uav in moment.hidden else MUTED)
         for uav, artist in self._estimates.items():
             artist.show((estimates or {}).get(uav))
 

@@ -18,7 +18,7 @@ from sim.compiling.compile import FloatArray, IntArray
 from sim.scene.altitude import Sight
 from sim.scene.colors import COVERED, LIMIT, MUTED
 from sim.scene.drawing import DPI, Estimate, Map, key, legend_of, plot_style
-from sim.scene.model import Scene
+from sim.scene.model import Moment, Scene
 
 _HEADER, _FOOTER, _SIDE = 92, 116, 68
 """Margins above, below and beside the ground [px]."""
@@ -30,7 +30,7 @@ _LABELS = 10
 """Extra offset of the ground to the right, for labels of three digits and the axis label [px]."""
 _TALLEST = 1000
 """Maximum height of the ground [px]."""
-_PLANE: Mapping[str, float] = MappingProxyType({})
+_PLANE = Moment()
 _NO_ROLES: Mapping[str, IntArray] = MappingProxyType({})
 
 
@@ -120,8 +120,7 @@ class Frames:
         sight: Sight | None,
         facts: str | None = None,
         hazards: GroundMap | None = None,
-        altitudes: Mapping[str, float] = _PLANE,
-        hidden: Collection[str] = (),
+        moment: Moment = _PLANE,
         roles: Mapping[str, IntArray] = _NO_ROLES,
     ) -> npt.NDArray[np.uint8]:
         """Return the picture of a moment; other arguments as in `Map.show`.
@@ -134,16 +133,15 @@ class Frames:
             sight: Pair that is closest to losing sight; an infinite radius is unknown. None: no UAV.
             facts: Line below the title; None: unchanged.
             hazards: Ground with its hazards; None: unchanged.
-            altitudes: Altitude of each UAV that has one [m].
-            hidden: UAVs from which a building hides their UGV.
+            moment: State of the vehicles.
             roles: Code of the role at each point of the path of each UAV in a team.
 
         Returns:
             Red, green, blue and opacity; shape (rows, columns, 4). Each call returns a new array.
         """
-        self._map.show(tracks, coverage, estimates, hazards, altitudes, hidden, roles)
+        self._map.show(tracks, coverage, estimates, hazards, moment, roles)
         self._clock.set_text(f"{time:7.1f} s")
-        self._distance.set_text(_sight_text(sight, altitudes))
+        self._distance.set_text(_sight_text(sight, moment.altitudes))
         self._distance.set_color(LIMIT if sight is not None and sight.lost else MUTED)
         if facts is not None:
             self._facts.set_text(facts)

@@ -7,6 +7,8 @@ from bus.messages.buildings import Building
 from bus.messages.telemetry import Geometry
 from bus.registry import DRIVERS
 from sim.engine.briefing import limits
+from sim.models.kinematics import kinematics_of, largest_turn_rate
+from sim.scenario.kinematics import steers
 from sim.scenario.team import teams_of
 from sim.scenario.types import Scenario, Ugv, switching_radius
 from sim.scenario.world_checks import escorts
@@ -41,6 +43,11 @@ def geometry_of(scenario: Scenario, buildings: tuple[Building, ...] = ()) -> Geo
         switching_radius=radius if math.isfinite(radius) else None,
         dt=scenario.dt,
         limits={vehicle.name: limits(vehicle) for vehicle in scenario.vehicles},
+        max_turn_rates={
+            ugv.name: largest_turn_rate(kinematics_of(ugv), ugv.max_speed)
+            for ugv in scenario.ugv
+            if steers(ugv)
+        },
         uavs={uav.name: uav.escorts for uav in scenario.uav},
         goals={ugv.name: goals[:_GOALS] for ugv in scenario.ugv if (goals := _goals(ugv))},
         origin=scenario.origin,
@@ -77,6 +84,7 @@ def scene_of(scenario: Scenario, buildings: tuple[Building, ...] = ()) -> Scene:
         (scenario.area.width, scenario.area.height),
         {uav.name: uav.escorts for uav in scenario.uav},
         ugvs,
+        steering={ugv.name for ugv in scenario.ugv if steers(ugv)},
         goals={ugv.name: _goals(ugv) for ugv in scenario.ugv},
         radii=(scenario.visibility.radius, scenario.sensor.range),
         inner={ugv: inner_radius(scenario, ugv) for ugv in ugvs},

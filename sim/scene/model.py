@@ -5,11 +5,11 @@ Foxglove view, the terminal and the page. Values that change with time (position
 passed to the drawing code.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from bus.messages.buildings import Building, Camera
-from bus.messages.telemetry import Geometry
+from bus.messages.telemetry import Geometry, VehicleTruth
 from sim.scene.colors import LIMIT, UAV, UGV, color
 
 LABELS = {"r_v": "visibility radius", "r_s": "switching radius", "r": "sensing range"}
@@ -28,6 +28,8 @@ class SceneVehicle:
     flies: bool
     """True for a UAV, False for a UGV."""
     color: str
+    steers: bool = False
+    """True for a UGV that moves along its heading, which pictures show."""
     goals: tuple[Point, ...] = ()
     """Goals of a UGV [m]."""
 
@@ -58,6 +60,23 @@ class Space:
     """Camera; None: the UAVs fly in the plane."""
     markers: Mapping[str, float] = field(default_factory=dict)
     """Height of each UGV's marker [m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """State of the vehicles at a moment, beyond their paths."""
+
+    altitudes: Mapping[str, float] = field(default_factory=dict)
+    """Altitude of each UAV that has one [m]."""
+    headings: Mapping[str, float] = field(default_factory=dict)
+    """Heading of each UGV that steers [rad], from east to north."""
+    hidden: Collection[str] = ()
+    """UAVs from which a building hides their UGV."""
+
+
+def headings_of(vehicles: Mapping[str, VehicleTruth]) -> dict[str, float]:
+    """Return the heading of each UGV that steers [rad]."""
+    return {name: one.heading for name, one in vehicles.items() if one.heading is not None}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,6 +135,7 @@ def observed_scene(
         (geometry.area.width, geometry.area.height),
         escorts,
         ugvs,
+        steering=geometry.max_turn_rates,
         goals=geometry.goals,
         radii=(r_v, geometry.sensor_range),
         inner=dict.fromkeys(ugvs, r_s if r_s is not None and 0.0 < r_s < r_v else None),
@@ -134,6 +154,7 @@ def assembled(
     escorts: Mapping[str, str],
     ugvs: Iterable[str],
     *,
+    steering: Collection[str] = (),
     goals: Mapping[str, tuple[Point, ...]] | None = None,
     radii: Point | None = None,
     inner: Mapping[str, float | None] | None = None,
@@ -147,6 +168,7 @@ def assembled(
         size: Width and height of the ground [m].
         escorts: Escorted UGV of each UAV.
         ugvs: Names of all UGVs, in order.
+        steering: UGVs that steer.
         goals: Goals of each UGV [m].
         radii: r_v and the sensor's range [m]; None: no circles.
         inner: r_s around each UGV [m]; None: no circle.
@@ -157,7 +179,11 @@ def assembled(
     vehicles = [
         *(
             SceneVehicle(
-                name=name, flies=False, color=color(UGV, k), goals=(goals or {}).get(name, ())
+                name=name,
+                flies=False,
+                color=color(UGV, k),
+                steers=name in steering,
+                goals=(goals or {}).get(name, ()),
             )
             for k, name in enumerate(ugvs)
         ),

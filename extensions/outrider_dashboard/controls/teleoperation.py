@@ -85,7 +85,7 @@ class SharedTeleoperation:
             x, y = deflection
             scale = self.full_speed / max(math.hypot(x, y), 1.0)
             velocity = (x * scale, y * scale)
-        self._helm.steer(self.vehicle, self.name, velocity)
+        self._helm.steer(self.vehicle, Teleoperation(operator=self.name, velocity=velocity))
 
     def hand_back(self, browser: int) -> None:
         """Return control to the previous driver; any browser may do so if no other has control."""
@@ -98,7 +98,7 @@ class SharedTeleoperation:
     def release(self) -> None:
         """Brake the vehicle and release control."""
         if self.holder:
-            self._helm.steer(self.vehicle, self.name, None)
+            self._helm.steer(self.vehicle, Teleoperation(operator=self.name))
             self.holder, self.name = 0, ""
 
     def leave(self, browser: int) -> None:

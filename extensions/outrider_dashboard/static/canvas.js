@@ -47,6 +47,15 @@ export function paint(image, { columns, rows }, cells, table) {
   context.putImageData(pixels, 0, 0);
 }
 
+// Trace a square with a tip at a heading [rad], from east to north.
+export function pointed(c, x, y, size, heading) {
+  const [cos, sin] = [Math.cos(heading), -Math.sin(heading)];
+  for (const [ahead, aside] of [[-0.9, -0.9], [0.5, -0.9], [1.6, 0], [0.5, 0.9], [-0.9, 0.9]]) {
+    c.lineTo(x + size * (ahead * cos - aside * sin), y + size * (ahead * sin + aside * cos));
+  }
+  c.closePath();
+}
+
 export function colorOf(list, index) {
   return list[index % list.length];
 }

@@ -71,7 +71,7 @@ export class CloseUp {
     c.stroke();
     this.ground.drawGoals(c, inner);
     this.ground.drawDetections(c, inner, 2.2);
-    this.ground.mark(c, inner.X(ugv.position[0]), inner.Y(ugv.position[1]), 5, escort.ugv, false);
+    this.ground.mark(c, inner.X(ugv.position[0]), inner.Y(ugv.position[1]), 5, escort.ugv, false, ugv.heading);
     this.ground.drawEstimates(c, inner, 7);
     const bar = [200, 100, 50, 20, 10, 5, 2, 1, 0.5, 0.2, 0.1].find((length) => length <= this.range * 0.55) || this.range / 2;
     c.fillStyle = colors.ink;

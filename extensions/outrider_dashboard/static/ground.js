@@ -1,7 +1,7 @@
 // Map: ground, paths, vehicles and their names, goals, visibility radii, close-up.
 
 import { Buildings, ringRadius } from "./buildings.js";
-import { FONT, colorOf, fit, paint, ticks } from "./canvas.js";
+import { FONT, colorOf, fit, paint, pointed, ticks } from "./canvas.js";
 import { CloseUp } from "./close_up.js";
 import { Hazards } from "./hazards.js";
 import { Labels } from "./labels.js";
@@ -284,8 +284,8 @@ export class Ground {
   drawVehicles(c, { X, Y }) {
     const { truth, selected, colors } = this.store;
     if (!truth) return;
-    for (const [name, { position }] of Object.entries(truth.vehicles)) {
-      this.mark(c, X(position[0]), Y(position[1]), 6, name, false);
+    for (const [name, { position, heading }] of Object.entries(truth.vehicles)) {
+      this.mark(c, X(position[0]), Y(position[1]), 6, name, false, heading);
       if (!this.several || name !== selected) continue;
       c.strokeStyle = colors.ink;
       c.lineWidth = 1.5;
@@ -306,8 +306,8 @@ export class Ground {
     this.labels.draw(c, marks.filter((one) => !hidden(one)), frame, taken, { ink: colors.ink, halo: colors.halo });
   }
 
-  // Draw a vehicle; in a team a guard is full, and the others are lighter.
-  mark(c, x, y, size, name, hollow) {
+  // Draw a vehicle; in a team a guard is full, and the others are lighter. A UGV that steers has a tip at its heading.
+  mark(c, x, y, size, name, hollow, heading = null) {
     const color = this.vehicleColor(name);
     const { paper } = this.store.colors;
     const light = !hollow && lookOf(roleOf(this.store, name)).opacity < 1;
@@ -316,7 +316,8 @@ export class Ground {
     c.lineWidth = 1.5;
     c.beginPath();
     if (this.store.uavs.includes(name)) c.arc(x, y, size, 0, 2 * Math.PI);
-    else c.rect(x - size * 0.9, y - size * 0.9, size * 1.8, size * 1.8);
+    else if (heading === null) c.rect(x - size * 0.9, y - size * 0.9, size * 1.8, size * 1.8);
+    else pointed(c, x, y, size, heading);
     c.fill();
     if (light) {
       c.globalAlpha = 0.3;

@@ -252,7 +252,7 @@ def test_no_bytes_at_all_make_a_velocity_that_cannot_be_driven(raw: bytes, inter
         )
     except Refused:
         return
-    assert math.hypot(*command.velocity) <= 0.2 * (1.0 + 1e-6)
+    assert math.hypot(*command.drive.velocity) <= 0.2 * (1.0 + 1e-6)
 
 
 def test_operator_node_drives_and_bad_messages_are_counted(tmp_path: Path) -> None:

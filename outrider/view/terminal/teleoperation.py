@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from bus.messages.ground import GroundMap
 from bus.messages.team import Request
 from bus.messages.telemetry import CoverageMap, Status, Truth
+from bus.messages.vehicle import Teleoperation
 from bus.registry import TELEOP
 from bus.session import Session
 from outrider.view.operator import Helm, RunClient, request_of
@@ -321,5 +322,5 @@ class DriveLink:
         )
 
     def _steer(self, velocity: tuple[float, float] | None, now: float) -> None:
-        self._helm.steer(self.vehicle, self._client.name, velocity)
+        self._helm.steer(self.vehicle, Teleoperation(operator=self._client.name, velocity=velocity))
         self._sent, self._moving, self._braked = now, velocity is not None, False

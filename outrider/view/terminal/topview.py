@@ -130,7 +130,12 @@ def draw(
         if roles.get(one.name, Role.GUARD) is not Role.GUARD:
             mark = "△"
         if one.name in truth.vehicles:
-            canvas.letter(*window.dot(truth.vehicles[one.name].position), mark, color)
+            own = truth.vehicles[one.name]
+            x, y = window.dot(own.position)
+            if own.heading is not None:
+                tip = x + 8.0 * math.cos(own.heading), y - 8.0 * math.sin(own.heading)
+                canvas.line(x, y, *tip, color)
+            canvas.letter(x, y, mark, color)
     if view.wanted is not None:
         _paint_arrow(canvas, dot, view.wanted)
     _paint_scale(canvas, window)
