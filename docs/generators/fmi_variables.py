@@ -7,6 +7,7 @@ from outrider_fmi.variables import (
     ALTITUDE,
     BUILDINGS,
     DRIVER_INPUTS,
+    HEADING,
     OPERATOR,
     OWN_STATE,
     RADIO,
@@ -14,6 +15,7 @@ from outrider_fmi.variables import (
     TEAM_OUT,
     TRUE_ESCORT,
     TRUE_STATE,
+    TWIST,
     UAV_INPUTS,
     UAV_OUTPUTS,
     VERTICAL,
@@ -31,15 +33,19 @@ PILOTS: Rows = (
     ("`uav`: out, with an altitude", VERTICAL),
     ("`uav`: out, in a team", TEAM_OUT),
     ("`ugv`: in", OWN_STATE),
+    ("`ugv`: in, if it steers", HEADING),
     ("`ugv`: in, for drivers with radio (`evade`, `navigate`)", RADIO),
     ("`ugv`: in, for the driver `teleop`", OPERATOR),
+    ("`ugv`: in, for the driver `teleop`, if it steers", TWIST),
     ("`ugv`: out", ACCELERATION),
 )
 WORLD: Rows = (
     ("`world`: out, of each vehicle", of("<vehicle>", TRUE_STATE)),
     ("`world`: out, of each UAV", of("<uav>", TRUE_ESCORT)),
     ("`world`: out, of each UAV with an altitude", of("<uav>", ALTITUDE)),
+    ("`world`: out, of each UGV that steers", of("<ugv>", HEADING)),
     ("`world`: in, of each UGV with the driver `teleop`", of("<ugv>", OPERATOR)),
+    ("`world`: in, of each UGV with this driver that steers", of("<ugv>", TWIST)),
 )
 DRIVER: Rows = (("in", DRIVER_INPUTS), ("out", ACCELERATION))
 

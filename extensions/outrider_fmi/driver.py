@@ -17,9 +17,9 @@ from xml.etree import ElementTree
 
 from bus.errors import ScenarioError
 from bus.messages.vehicle import UgvObservation
-from bus.observations import UGV, Row, names
+from bus.observations import UGV, Row, names, ugv_table
 from bus.plugins import needs
-from outrider_fmi.variables import ACCELERATION, DRIVER_INPUTS, GOAL, OWN_STATE, RADIO
+from outrider_fmi.variables import ACCELERATION, DRIVER_INPUTS, GOAL, HEADING, OWN_STATE, RADIO
 
 _INPUTS = {one.name: "Float64" if one.unit else "Boolean" for one in DRIVER_INPUTS}
 """Allowed inputs of a unit, with their types."""
@@ -196,7 +196,7 @@ class FmuPolicy:
         """Return the acceleration [m/s²] and the instance that computed it.
 
         Args:
-            row: Row of the UGV, `bus.observations.UGV`.
+            row: Row of the UGV, `bus.observations.ugv_table`.
             state: Instance of this UGV; None creates one.
             dt: Length of a tick [s].
             perceived: Observation with the radio messages of the UGV; None: without any.
@@ -204,7 +204,8 @@ class FmuPolicy:
         Raises:
             ScenarioError: If the unit cannot be started or rejects the step.
         """
-        observed = dict(zip(names(UGV), map(float, row), strict=True))
+        table = ugv_table(steers=len(row) > len(UGV))
+        observed = dict(zip(names(table), map(float, row), strict=True))
         instance = self._instance(observed["time"]) if state is None else state
         fmu, values = instance.fmu, _values(observed, perceived)
         try:
@@ -224,6 +225,8 @@ def _values(observed: Mapping[str, float], perceived: UgvObservation | None) -> 
     values: dict[str, float] = dict.fromkeys(_INPUTS, 0.0)
     state = observed["x"], observed["y"], observed["vx"], observed["vy"]
     values |= zip((one.name for one in OWN_STATE), state, strict=True)
+    if "heading_x" in observed:
+        values[HEADING[0].name] = math.atan2(observed["heading_y"], observed["heading_x"])
     goal = bool(observed["underway"]), observed["goal_x"], observed["goal_y"]
     values |= zip((one.name for one in GOAL), goal, strict=True)
     received = perceived.radio[-1:] if perceived is not None else ()

@@ -27,6 +27,8 @@ _UNITS = (
     Unit("m/s", m=1, s=-1),
     Unit("m/s2", m=1, s=-2),
     Unit("m2", m=2),
+    Unit("rad", rad=1),
+    Unit("rad/s", rad=1, s=-1),
 )
 _RETAINED: set[Path] = set()
 """Libraries for which this process keeps a reference to Python."""

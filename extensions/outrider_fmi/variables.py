@@ -28,6 +28,8 @@ def _plane(name: str, unit: str, about: str) -> tuple[Variable, ...]:
 
 
 OWN_STATE = _plane("position", "m", "Own position") + _plane("velocity", "m/s", "Own velocity")
+HEADING = (Variable("heading", "rad", "Heading, from east to north"),)
+"""Of a UGV that steers."""
 ALTITUDE = (
     Variable("altitude", "m", "Altitude above the ground"),
     Variable("climb_rate", "m/s", "Climb rate"),
@@ -69,6 +71,12 @@ OPERATOR = (
     Variable("operator.new", "", "True at a step with a new message of the operator"),
     *_plane("operator.velocity", "m/s", "Velocity commanded by the operator"),
 )
+TWIST = (
+    OPERATOR[0],
+    Variable("operator.speed", "m/s", "Speed commanded by the operator, negative in reverse"),
+    Variable("operator.turn_rate", "rad/s", "Turn rate commanded by the operator, to the left"),
+)
+"""Instead of `OPERATOR`, of a UGV that steers."""
 GOAL = (
     Variable("underway", "", "True until the last goal is reached"),
     Variable("goal.x", "m", "Goal, east; the last one stays after arrival"),
@@ -104,7 +112,7 @@ TRUE_ESCORT = (
 UAV_INPUTS = OWN_STATE + DETECTION
 UAV_OUTPUTS = ACCELERATION + ESCORT + RADIO
 """Outputs of a UAV's pilot."""
-DRIVER_INPUTS = OWN_STATE + GOAL + RADIO
+DRIVER_INPUTS = OWN_STATE + HEADING + GOAL + RADIO
 """Allowed inputs of a unit that drives a UGV; its outputs are `ACCELERATION`."""
 
 

@@ -29,17 +29,19 @@ from bus.messages.vehicle import (
     UgvObservation,
 )
 from bus.numbers import exact
-from bus.registry import DRIVERS, LAWS
+from bus.registry import DEFAULT_KINEMATICS, DRIVERS, LAWS
 from bus.ticks import tick_of
 from outrider_fmi.variables import (
     ACCELERATION,
     ALTITUDE,
     BUILDINGS,
+    HEADING,
     OPERATOR,
     OWN_STATE,
     RADIO,
     TEAM_IN,
     TEAM_OUT,
+    TWIST,
     UAV_INPUTS,
     UAV_OUTPUTS,
     VERTICAL,
@@ -102,6 +104,15 @@ def tick_at(time: float, size: float, dt: float) -> int:
 def pair(values: Values, name: str) -> Vector:
     """Return the variables x and y of this name."""
     return values[f"{name}.x"], values[f"{name}.y"]
+
+
+def teleoperation_of(values: Values, owner: str) -> Teleoperation:
+    """Return an operator's message: a velocity, or speed and turn rate; `owner`: prefix of the variables' names."""
+    name, speed = f"{owner}operator", f"{owner}operator.speed"
+    if speed in values:
+        turn_rate = values[f"{name}.turn_rate"]
+        return Teleoperation(operator="fmi", speed=values[speed], turn_rate=turn_rate)
+    return Teleoperation(operator="fmi", velocity=pair(values, f"{name}.velocity"))
 
 
 def check_inputs(values: Values) -> None:
@@ -207,7 +218,10 @@ class VehicleUnit:
         else:
             row = DRIVERS[briefing.driver]
             self._pilot = UgvPilot(briefing)
-            self.inputs = OWN_STATE + RADIO * row.listens + OPERATOR * row.operated
+            steers = briefing.kinematics != DEFAULT_KINEMATICS
+            operator = TWIST if steers else OPERATOR
+            self.inputs = OWN_STATE + HEADING * steers + RADIO * row.listens
+            self.inputs += operator * row.operated
             self.outputs = ACCELERATION
             content = f"the UGV's driver, {briefing.driver}"
         self._briefing = briefing
@@ -297,7 +311,7 @@ class VehicleUnit:
             )
             radio = (message,)
         if values.get("operator.new"):
-            wanted = pair(values, "operator.velocity")
-            operator = (Teleoperation(operator="fmi", velocity=wanted),)
-        command = pilot.act(UgvObservation(**own, radio=radio, operator=operator))
+            operator = (teleoperation_of(values, ""),)
+        heading = values.get("heading")
+        command = pilot.act(UgvObservation(**own, heading=heading, radio=radio, operator=operator))
         return dict(zip(("acceleration.x", "acceleration.y"), command.acceleration, strict=True))

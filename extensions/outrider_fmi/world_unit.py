@@ -6,13 +6,22 @@ Outputs equal an observer's data. The operator's input crosses the operator's li
 import msgspec
 
 from bus.errors import ScenarioError
-from bus.messages.vehicle import Teleoperation
 from bus.numbers import exact
 from bus.registry import DRIVERS
 from outrider.running.flying import InProcess, make_pilots
 from outrider.running.user_code import own_code
-from outrider_fmi.variables import ALTITUDE, OPERATOR, TRUE_ESCORT, TRUE_STATE, Variable, of
-from outrider_fmi.vehicle_unit import Values, check_inputs, pair, tick_at
+from outrider_fmi.variables import (
+    ALTITUDE,
+    HEADING,
+    OPERATOR,
+    TRUE_ESCORT,
+    TRUE_STATE,
+    TWIST,
+    Variable,
+    of,
+)
+from outrider_fmi.vehicle_unit import Values, check_inputs, teleoperation_of, tick_at
+from sim.scenario.kinematics import steers
 from sim.scenario.checks import check_no_robot
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
@@ -74,11 +83,14 @@ class WorldUnit:
         self.dt, self.duration = scenario.dt, scenario.duration
         """Length of a communication step, and duration of the run [s]."""
         self._driven = [ugv.name for ugv in scenario.ugv if DRIVERS[ugv.driver].operated]
-        self.inputs: tuple[Variable, ...] = sum((of(name, OPERATOR) for name in self._driven), ())
+        steering = {ugv.name for ugv in scenario.ugv if steers(ugv)}
+        inputs = (of(name, TWIST if name in steering else OPERATOR) for name in self._driven)
+        self.inputs: tuple[Variable, ...] = sum(inputs, ())
         states = (of(vehicle.name, TRUE_STATE) for vehicle in scenario.vehicles)
         heights = (of(uav.name, ALTITUDE) for uav in scenario.uav if scenario.has_altitude)
         escorts = (of(uav.name, TRUE_ESCORT) for uav in self._flight.world.uavs)
-        self.outputs: tuple[Variable, ...] = sum((*states, *escorts, *heights), ())
+        headings = (of(name, HEADING) for name in self._flight.world.headings())
+        self.outputs: tuple[Variable, ...] = sum((*states, *escorts, *heights, *headings), ())
         self.about = f"Run of the Outrider scenario {scenario.name!r}, seed {seed}"
         """Description for the importing tool."""
 
@@ -104,8 +116,7 @@ class WorldUnit:
             )
         for name in self._driven:
             if values[f"{name}.operator.new"]:
-                wanted = pair(values, f"{name}.operator.velocity")
-                flight.teleoperate(name, Teleoperation(operator="fmi", velocity=wanted))
+                flight.teleoperate(name, teleoperation_of(values, f"{name}."))
         flight.fly_tick(self._exchange)
         return self._outputs()
 
@@ -121,4 +132,5 @@ class WorldUnit:
             lost = flight.recorder.is_lost(flight.world.tick, uav)
             numbers += [row[0], row[1], certified, lost]
         numbers += flight.recorder.heights[-1, :, :2].ravel().tolist()
+        numbers += flight.world.headings().values()
         return dict(zip((one.name for one in self.outputs), numbers, strict=True))

@@ -15,6 +15,7 @@ FOLDER = Path(__file__).resolve().parent
 EXTENSIONS = FOLDER.parents[1] / "extensions"
 BRIDGES = {
     "ros2": "outrider_ros2/tests/acceptance/ros2_nodes.py",
+    "paths": "outrider_ros2/tests/acceptance/ros2_paths.py",
     "bags": "outrider_ros2/tests/acceptance/ros2_bags.py",
     "mavlink": "outrider_mavlink/tests/acceptance/mavlink_programs.py",
     "fmi": "outrider_fmi/tests/acceptance/fmi_programs.py",

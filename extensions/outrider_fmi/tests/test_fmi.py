@@ -162,6 +162,30 @@ def test_an_operator_of_the_worlds_unit_is_one_of_the_run() -> None:
     assert outputs["ugv_0.velocity.y"] > 0.05
 
 
+def test_a_steering_ugvs_units_know_its_heading_and_its_operators_twist() -> None:
+    """The UGV's unit, moved by the world's, answers as the pilot in the world's."""
+    steers = ("ugv.0.kinematics=ackermann", "ugv.0.max_curvature=1.5", "ugv.0.heading=1.0")
+    flown = load_scenario("escort", overrides=["duration=2.0", "ugv.0.driver=teleop", *steers])
+    unit = WorldUnit(flown, 3)
+    own = VehicleUnit(briefing(flown, "ugv_0", 3))
+    outputs = unit.start()
+    names = [one.name for one in own.inputs]
+    assert names == [
+        *(one.name for one in variables.OWN_STATE),
+        "heading",
+        *(one.name for one in variables.TWIST),
+    ]
+    for tick in range(flown.ticks):
+        drive = {"operator.new": True, "operator.speed": 0.15, "operator.turn_rate": 0.2}
+        seen = {name: outputs[f"ugv_0.{name}"] for name in names if name not in drive}
+        answer = own.step(tick * DT, DT, seen | drive)
+        outputs = unit.step(tick * DT, DT, {f"ugv_0.{name}": v for name, v in drive.items()})
+        for axis in "xy":
+            applied = outputs[f"ugv_0.acceleration.{axis}"]
+            assert answer[f"acceleration.{axis}"] == pytest.approx(applied, abs=1e-12)
+    assert outputs["ugv_0.heading"] > 1.1
+
+
 def test_world_unit_loses_sight_where_a_low_run_does() -> None:
     changes = ["uav.0.initial_altitude=4.0", "law.name=coverage", "duration=25.0"]
     flown = load_scenario("escort", overrides=changes)

@@ -77,9 +77,13 @@ class Run:
         """Return the credentials file of a party."""
         return self.folder / "keys" / f"{name}.json"
 
+    def start_program(self, name: str, *words: object) -> "subprocess.Popen[str]":
+        """Start a program."""
+        return self._stack.enter_context(started(self.folder / f"{name}.log", words))
+
     def start(self, name: str, *words: object) -> "subprocess.Popen[str]":
         """Start an outrider command."""
-        return self._stack.enter_context(started(self.folder / f"{name}.log", outrider(*words)))
+        return self.start_program(name, *outrider(*words))
 
     def join(self, name: str, party: str, *words: object) -> "subprocess.Popen[str]":
         """Start an outrider command with a party's credentials."""
