@@ -444,6 +444,21 @@ def test_map_shows_vehicles_and_visibility_radius() -> None:
     assert "no position yet" in empty[1]
 
 
+def test_map_shows_the_heading_of_a_ugv_that_steers() -> None:
+    def around(heading: float | None) -> list[str]:
+        ugv = a_vehicle((10.0, 10.0), heading=heading)
+        view = DriveView(status=status_at(), truth=a_truth(5.0, a_vehicle((2.0, 2.0)), ugv))
+        rows = characters(draw(view, "ugv_0", Trails(), width=44, height=21, wide=False))
+        line = next(row for row in rows if "■" in row)
+        place = line.index("■")
+        return [line[place - 2 : place], line[place + 1 : place + 3]]
+
+    assert around(None) == ["  ", "  "]
+    west, east = around(0.0)
+    assert (west, "\u2800" < east[0] <= "\u28ff") == ("  ", True)
+    assert around(math.pi)[1] == "  "
+
+
 class Watching:
     """A link that only observes."""
 

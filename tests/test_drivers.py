@@ -35,6 +35,14 @@ from outrider.running.flying import fly
 from properties import PROPERTY
 from seeded import key_text
 from sim.models.ground import CLEAR, tile_states
+from sim.models.kinematics import (
+    DIFFERENTIAL,
+    Kinematics,
+    UgvState,
+    signed_speed,
+    step_ugv,
+    wrapped,
+)
 from sim.models.vehicles import step_vehicle
 from sim.scenario.loading import load_scenario
 
@@ -266,6 +274,22 @@ def test_excessive_velocity_is_clipped_in_its_direction(wanted: Point) -> None:
     )
     scale = min(1.0, V_G / max(math.hypot(*wanted), 1e-300))
     assert rows[-1, 2:4] == pytest.approx((wanted[0] * scale, wanted[1] * scale), abs=1e-12)
+
+
+@pytest.mark.parametrize("speed", [0.2, -0.2])
+def test_a_differential_drive_slows_down_to_drive_the_wanted_curve(speed: float) -> None:
+    """The wheels are too slow for this speed and this turn rate together: 0.2 + 0.5 * 0.4 * 1.0 m/s."""
+    driver = TeleopDriver(_briefing(u_max=1.0, kinematics="differential", track=0.4))
+    message = Teleoperation(operator="somebody", speed=speed, turn_rate=1.0)
+    cart, state = Kinematics(DIFFERENTIAL, track=0.4), UgvState(*MIDDLE, 0.0, 0.0, 0.0)
+    for tick in range(40):
+        seen = _observe(tick, state[:4], {"operator": (message,), "heading": state.heading})
+        before, state = (
+            state,
+            step_ugv(cart, state, *driver.drive(seen), (V_G, 1.0), V_G, DT),
+        )
+    assert signed_speed(state) == pytest.approx(0.5 * speed)
+    assert wrapped(state.heading - before.heading) / DT == pytest.approx(0.5)
 
 
 @given(places)

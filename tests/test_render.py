@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from bus.messages.scenario import Area, Law
@@ -16,8 +17,9 @@ from outrider import style
 from outrider.running.flying import fly
 from outrider.view.flight_picture import SIZE, draw_flight, flight_figure
 from sim.scenario.types import Detections, Uav, Ugv
+from sim.scene.drawing import Map
 from sim.scene.known import geometry_of, scene_of
-from sim.scene.model import observed_scene
+from sim.scene.model import Moment, observed_scene
 from sim.server.flight import Flight
 
 NOISY = Detections(noise=0.1, dropout=0.1)
@@ -235,3 +237,20 @@ def test_only_lost_sight_is_shaded_and_stated(flight):
     assert f"UGV out of sight for {summary.visibility_violations * 0.05:.2f} s" in texts(figure)
     # without noise there is no panel for it
     assert [axes.get_ylabel() for axes in figure.axes] == LABELS[:-1]
+
+
+@pytest.mark.parametrize(("heading", "ahead"), [(0.0, (12, 0)), (0.5 * math.pi, (0, 12))])
+def test_a_ugv_that_steers_is_drawn_with_a_tip_at_its_heading(
+    heading: float, ahead: tuple[int, int]
+) -> None:
+    """The UGV's color reaches this many pixels farther ahead than behind."""
+    figure = Figure(figsize=(4.0, 4.0), dpi=100)
+    canvas = FigureCanvasAgg(figure)
+    scene = observed_scene("", None, escorts={}, vehicles=["ugv_0"], ground=(10.0, 10.0))
+    drawn = Map(figure.add_axes((0.0, 0.0, 1.0, 1.0)), scene)
+    drawn.show({"ugv_0": np.array([[5.0, 5.0]])}, moment=Moment(headings={"ugv_0": heading}))
+    canvas.draw()
+    picture = np.asarray(canvas.buffer_rgba())[:, :, :3].astype(int)
+    rows, columns = np.nonzero(np.abs(picture - (232, 116, 12)).max(axis=2) < 60)
+    extent = columns.max() + columns.min() - 399, 399 - rows.max() - rows.min()
+    assert extent == pytest.approx(ahead, abs=6)

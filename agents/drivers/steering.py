@@ -84,6 +84,7 @@ class Steering:
         """Maximum acceleration [m/s²]."""
         self.dt = own.dt
         """Length of a tick [s]."""
+        self._kinematics = own.kinematics
         self.turns = own.kinematics.kind != POINT
         """True if the UGV has a heading and cannot move sideways."""
         self._ugv = records(UgvParameters, [own])[0]
@@ -108,8 +109,8 @@ class Steering:
             turn_rate: Change of the heading per second [rad/s]; positive: to the left.
         """
         speed, turn_rate = max(-self.v_max, min(float(speed), self.v_max)), float(turn_rate)
-        if self._ugv.kinematics.kind == DIFFERENTIAL:
-            wheel = abs(speed) + 0.5 * self._ugv.kinematics.track * abs(turn_rate)
+        if self._kinematics.kind == DIFFERENTIAL:
+            wheel = abs(speed) + 0.5 * self._kinematics.track * abs(turn_rate)
             share = min(1.0, self.v_max / wheel) if wheel > 0.0 else 1.0
             speed, turn_rate = share * speed, share * turn_rate
         return move(self._ugv, own_state(observation), speed, turn_rate * self.dt, 1.0)

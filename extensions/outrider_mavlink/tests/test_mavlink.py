@@ -375,6 +375,21 @@ def test_sticks_drive_the_ugv_and_first_deflection_takes_control(run):
     assert run.client.controls[-2].driver == "waypoints"  # the previous driver
 
 
+def test_a_ugv_that_steers_reports_its_heading_and_is_driven_in_its_own_frame(run):
+    west = a_vehicle((10.0, 9.0), (0.1, 0.0), heading=math.pi)  # it reverses east
+    run.gateway.take(a_truth(1.0, a_vehicle((10.0, 12.0)), west))
+    arrived = run.station.send()
+    (attitude,), (position,) = (
+        select(arrived, kind, UGV) for kind in ("ATTITUDE", "GLOBAL_POSITION_INT")
+    )
+    assert (attitude.yaw, position.hdg) == (pytest.approx(-0.5 * math.pi), 27_000)
+    geometry = msgspec.structs.replace(status().geometry, max_turn_rates={"ugv_0": 0.8})
+    run.gateway.take(status(drivers={"ugv_0": "teleop"}, geometry=geometry))
+    run.station.send(sticks(-1000, 500))
+    drive = run.client.driven[-1][1]
+    assert (drive.velocity, drive.speed, drive.turn_rate) == (None, -0.2, -0.4)
+
+
 def test_second_ground_station_waits_until_the_first_is_silent(run, monkeypatch):
     run.station.send(sticks(500, 0))
     first = list(run.client.driven)
