@@ -244,7 +244,7 @@ def test_a_ugv_that_steers_is_drawn_with_a_tip_at_its_heading(
     heading: float, ahead: tuple[int, int]
 ) -> None:
     """The UGV's color reaches this many pixels farther ahead than behind."""
-    figure = Figure(figsize=(4.0, 4.0), dpi=100)
+    figure = Figure(figsize=(4.0, 4.0), dpi=400)
     canvas = FigureCanvasAgg(figure)
     scene = observed_scene("", None, escorts={}, vehicles=["ugv_0"], ground=(10.0, 10.0))
     drawn = Map(figure.add_axes((0.0, 0.0, 1.0, 1.0)), scene)
@@ -252,5 +252,5 @@ def test_a_ugv_that_steers_is_drawn_with_a_tip_at_its_heading(
     canvas.draw()
     picture = np.asarray(canvas.buffer_rgba())[:, :, :3].astype(int)
     rows, columns = np.nonzero(np.abs(picture - (232, 116, 12)).max(axis=2) < 60)
-    extent = columns.max() + columns.min() - 399, 399 - rows.max() - rows.min()
+    extent = columns.max() + columns.min() - 1599, 1599 - rows.max() - rows.min()
     assert extent == pytest.approx(ahead, abs=6)
