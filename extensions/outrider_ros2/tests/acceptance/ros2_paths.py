@@ -17,8 +17,8 @@ FAST = (
     "uav.0.max_speed=1.5", "uav.0.max_acceleration=1.0", "duration=60.0",
 )  # fmt: skip
 KINDS = {
-    "differential drive": ("corner", "ugv.0.kinematics=differential", "ugv.0.track=0.4"),
-    "Ackermann vehicle": ("curve", "ugv.0.kinematics=ackermann", "ugv.0.max_curvature=1.5"),
+    "a differential drive": ("corner", "ugv.0.kinematics=differential", "ugv.0.track=0.4"),
+    "an Ackermann vehicle": ("curve", "ugv.0.kinematics=ackermann", "ugv.0.max_curvature=1.5"),
 }
 
 
@@ -37,7 +37,7 @@ def followed(folder: Path, kind: str) -> Iterator[Row]:
         run.simulator.wait(600.0)
         bridge.wait(30.0)
         found, result, summary = map(run.json_of, ("node", "bridge", "simulator"))
-    yield Row(f"a node follows a path with a {kind}", found, found["arrived"])
+    yield Row(f"a node follows a path with {kind}", found, found["arrived"])
     sideways = found["sideways"]
     yield Row("its velocity is along its heading", f"{sideways:.1e} m/s aside", sideways < 1e-9)
     commands = f"{result['commands']} commands, refused: {result['refused']}"
@@ -49,7 +49,7 @@ def followed(folder: Path, kind: str) -> Iterator[Row]:
 def findings(folder: Path) -> Iterator[Row]:
     """Run all checks."""
     for kind in KINDS:
-        place = folder / kind.split()[0].lower()
+        place = folder / kind.split()[1].lower()
         place.mkdir()
         yield from followed(place, kind)
 
