@@ -65,6 +65,7 @@ def test_ugv_receives_exactly_these_fields() -> None:
         ground tile sensing_range caution delay rough_speed_share executes_trajectories
         buildings polygon building_clearance tile_clearance only_buildings
         tile_reports column row state map_updates tiles committed_trajectory
+        kinematics track max_curvature heading speed turn_rate
         vehicle dt area width height cell limits max_speed max_acceleration"""
     assert fields_of(TO_UGV) == {*words(known)}
 
@@ -104,7 +105,7 @@ def test_planned_route_reaches_the_simulator_and_no_vehicle() -> None:
 
 
 MODELS = """
-    altitude buildings camera endurance field grid ground hazards polygons randomness safety sensor sensors
+    altitude buildings camera endurance field grid ground hazards kinematics polygons randomness safety sensor sensors
     sensors.hill sensors.plateau shadows trajectories vehicles"""
 ON_BOARD = {
     *(f"sim.models.{name}" for name in words(MODELS)),

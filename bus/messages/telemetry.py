@@ -39,12 +39,12 @@ class VehicleTruth(Message, frozen=True, kw_only=True):
     """Commanded acceleration since the last tick, before the bounds [m/s²]; without a command, its replacement."""
     altitude: Coordinate | None = None
     """Altitude of a UAV above the ground [m]; None: it flies in the plane, or is a UGV."""
-    heading: Coordinate | None = None
-    """Heading of a UGV that steers [rad], from east to north; None: it moves in any direction, or is a UAV."""
     climb_rate: Coordinate = 0.0
     """Its climb rate [m/s]."""
     vertical_acceleration: Coordinate = 0.0
     """Its vertical acceleration since the last tick, after the bounds [m/s²]."""
+    heading: Coordinate | None = None
+    """Heading of a UGV that steers [rad], from east to north; None: it moves in any direction, or is a UAV."""
     known: bool = True
     """False: a robot flies it whose state is unknown; its position is the last known one."""
 

@@ -21,8 +21,8 @@ from outrider_fmi.variables import (
     of,
 )
 from outrider_fmi.vehicle_unit import Values, check_inputs, teleoperation_of, tick_at
-from sim.scenario.kinematics import steers
 from sim.scenario.checks import check_no_robot
+from sim.scenario.kinematics import steers
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
