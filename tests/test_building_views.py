@@ -143,7 +143,7 @@ def test_film_and_log_state_that_a_building_hides_the_ugv(recording: Recording) 
     assert [bool(pixels.any()) for pixels in red] == [True, False]
     lines = [entry.data for entry in entries(recording.path, ("/log",))]
     (lost,) = [line for line in lines if b"has lost sight of ugv_0" in line]
-    assert b"behind a building" in lost
+    assert b"hidden or too low" in lost
     assert any(b"sees ugv_0 again" in line for line in lines)
 
 

@@ -4,6 +4,7 @@ import math
 
 from sim.scenario.safety import largest_error
 from sim.scenario.types import Scenario
+from sim.scene.altitude import HIDDEN
 from sim.server.flight import Flight
 
 
@@ -68,7 +69,7 @@ def describe(scenario: Scenario, flight: Flight) -> list[str]:
             f"At {beyond[0] * dt:.2f} s the UGV is lost. One tick earlier, {_at(flight, last)}."
         )
         hidden = int((flight.recorder.radii[:, 0] == 0.0).sum())
-        behind = f", of which {hidden * dt:.2f} s are behind a building" if hidden else ""
+        behind = f", of which {hidden * dt:.2f} s {HIDDEN}" if hidden else ""
         lines.append(
             f"It is out of sight for {len(beyond) * dt:.2f} s of {scenario.duration:g} s{behind}."
         )

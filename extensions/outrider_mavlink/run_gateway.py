@@ -24,7 +24,7 @@ from outrider_mavlink.gateway import (
 )
 from outrider_mavlink.identity import MANUAL, MISSION, Moving, TeamState, VehicleSystem
 from outrider_mavlink.udp import Network, Peer
-from sim.scene.altitude import decisive, sight_of
+from sim.scene.altitude import HIDDEN, decisive, sight_of
 
 _RETRY = 1.0
 """Time between two requests for control of the same UGV [s]."""
@@ -99,7 +99,7 @@ class RunGateway(Gateway):
         for escort in truth.escorts:
             ugv, sight = escort.ugv, sight_of(escort, radius)
             why = (
-                "hidden by a building"
+                HIDDEN
                 if sight.hidden
                 else f"out of sight: distance {above(sight.distance, sight.radius)} m, r_v {exact(sight.radius)} m"
             )

@@ -21,7 +21,7 @@ from outrider.recording import schemas
 from outrider.recording.viewers import Viewers
 from sim.engine.briefing import all_buildings
 from sim.scenario.types import Scenario
-from sim.scene.altitude import decisive, sight_of
+from sim.scene.altitude import HIDDEN, decisive, sight_of
 
 with needs("record"):
     import foxglove
@@ -191,7 +191,7 @@ class RecordingFile:
                 self._lost ^= {whose}
                 seen = whose not in self._lost
                 what = "sees {} again" if seen else "has lost sight of {}"
-                behind = ", behind a building" if sight.hidden else ""
+                behind = f", {HIDDEN}" if sight.hidden else ""
                 self.log(
                     f"{escort.uav} {what.format(escort.ugv)}: {sight.distance:.3f} m{behind}",
                     truth.time,

@@ -282,7 +282,7 @@ NOW = _table(
            "Distance between the UAV and its UGV.", total="max"),
     Metric("margin", "margin to r_v", "m", 2,
            "Distance by which the UGV may still recede in sight, at the UAV's altitude: at 0 or "
-           "below it is out of sight; 0 behind a building.", total="min"),
+           "below it is out of sight; 0 if the UGV is hidden.", total="min"),
     Metric("coverage_error", "coverage error e(t)", "m²", 1,
            "Coverage missing on the ground around the UGV, eq. (4).", total="max"),
     Metric("estimate_error", "estimate error", "m", 3,

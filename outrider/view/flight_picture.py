@@ -15,7 +15,7 @@ from bus.errors import shortened
 from bus.messages.ground import GroundMap
 from outrider import style
 from sim.compiling.compile import FloatArray, IntArray
-from sim.scene.altitude import sight_at
+from sim.scene.altitude import HIDDEN, sight_at
 from sim.scene.drawing import Map, legend_of
 from sim.scene.ground_map import HIT, ground_map
 from sim.scene.known import inner_radius, scene_of
@@ -332,7 +332,7 @@ def _verdict(flight: Flight) -> _Verdict | None:
     if not lost:
         return _Verdict(f"UGV always in sight, margin {margin:.2f} m", style.GOOD, reached)
     hidden = int((heights[:, :, 3] == 0.0).any(axis=1).sum()) if heights.shape[1] else 0
-    behind = f", of which {hidden * dt:.2f} s behind a building" if hidden else ""
+    behind = f", of which {hidden * dt:.2f} s {HIDDEN}" if hidden else ""
     return _Verdict(f"UGV out of sight for {lost * dt:.2f} s{behind}", style.LIMIT, reached)
 
 

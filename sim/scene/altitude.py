@@ -14,6 +14,9 @@ from sim.models.shadows import all_known, hidden_cells
 from sim.models.sight import is_lost, sight_margin
 from sim.scene.model import Point, Ring, Scene, Space
 
+HIDDEN = "hidden or too low"
+"""Short reason for a UGV that is not visible at any distance: behind a building, or below a UAV that is too low."""
+
 
 class Sight(NamedTuple):
     """Pair of a UAV and its UGV that is closest to losing sight, or has lost it."""
@@ -21,7 +24,7 @@ class Sight(NamedTuple):
     distance: float
     """Distance of the two [m]."""
     radius: float
-    """Distance within which the UGV is visible [m]; 0: a building hides it."""
+    """Distance within which the UGV is visible [m]; 0: it is not visible at any."""
 
     @property
     def lost(self) -> bool:
@@ -30,12 +33,12 @@ class Sight(NamedTuple):
 
     @property
     def margin(self) -> float:
-        """Distance by which the UGV may still recede [m]; 0 while a building hides it."""
+        """Distance by which the UGV may still recede [m]; 0 while it is not visible at any distance."""
         return float(sight_margin(self.distance, self.radius))
 
     @property
     def hidden(self) -> bool:
-        """True if a building hides the UGV."""
+        """True if the UGV is not visible at any distance: a building hides it, or the UAV is too low."""
         return self.radius == 0.0
 
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from bus.messages.ground import GroundMap
 from bus.messages.team import Role
 from sim.compiling.compile import FloatArray, IntArray
-from sim.scene.altitude import Sight
+from sim.scene.altitude import HIDDEN, Sight
 from sim.scene.colors import COVERED, LIMIT, MUTED
 from sim.scene.drawing import DPI, Estimate, Map, key, legend_of, plot_style
 from sim.scene.model import Moment, Scene
@@ -158,6 +158,6 @@ def _sight_text(sight: Sight | None, altitudes: Mapping[str, float]) -> str:
         return text
     text += f"distance {sight.distance:5.2f} m"
     if sight.hidden:
-        return f"{text}  HIDDEN"
+        return f"{text}  {HIDDEN.upper()}"
     limit = f" of {sight.radius:.4g} m" if math.isfinite(sight.radius) else ""
     return f"{text}{limit}{'  OUT OF SIGHT' if sight.lost else ''}"

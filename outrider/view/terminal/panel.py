@@ -14,7 +14,7 @@ from outrider.view.operator import SILENCE
 from outrider.view.terminal.palette import ALARM, EDGE, FAINT, GOOD, INK, LIMIT, UAV, UGV
 from outrider.view.terminal.teleoperation import DriveView
 from sim.models.sight import is_lost, sight_margin
-from sim.scene.altitude import decisive
+from sim.scene.altitude import HIDDEN, decisive
 
 WIDTH = 36
 """Width of the panel [cells]."""
@@ -146,8 +146,7 @@ def _distance(text: Text, view: DriveView, escort: EscortTruth | None) -> None:
     color, margin = INK, "-"
     if distance is not None and r_v is not None:
         color = _severity(distance, r_v, r_s)
-        hidden = "behind a building"
-        margin = hidden if r_v == 0.0 else f"{float(sight_margin(distance, r_v)):+.2f} m"
+        margin = HIDDEN if r_v == 0.0 else f"{float(sight_margin(distance, r_v)):+.2f} m"
     name = f"distance {escort.uav}" if escort is not None else "distance"
     _row(text, name, "-" if distance is None else f"{distance:.2f} m", color, bold=True)
     text.append_text(_gauge(distance, r_v, r_s, color))
