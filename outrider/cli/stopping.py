@@ -1,9 +1,9 @@
 """Ctrl-C and SIGTERM as a request to stop, not as an exception in the middle of a tick."""
 
+import contextlib
+import queue
 import signal
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from types import FrameType
 
 
@@ -13,21 +13,22 @@ class Stop:
     def __init__(self) -> None:
         self.signal: int | None = None
         self.count = 0
-        self._asked = threading.Event()
+        self._asked: queue.SimpleQueue[None] = queue.SimpleQueue()
 
     def __bool__(self) -> bool:
         return self.signal is not None
 
     def handle(self, number: int, _frame: FrameType | None) -> None:
-        """Store the signal."""
+        """Store the signal; a second one may arrive in here, where a lock would never be free again."""
         self.signal = number
         self.count += 1
-        self._asked.set()
+        self._asked.put(None)  # reentrant, unlike `threading.Event.set`
 
     def wait(self) -> None:
         """Sleep until a signal arrives."""
-        while not self._asked.wait(1.0):  # in short waits: signal handlers run between them
-            pass
+        while self.signal is None:
+            with contextlib.suppress(queue.Empty):
+                self._asked.get(timeout=1.0)  # in short waits: signal handlers run between them
 
     @property
     def exit_code(self) -> int:
@@ -41,7 +42,7 @@ def ended_by() -> list[signal.Signals]:
     return [signal.SIGINT, signal.SIGTERM, *([] if kept else [signal.SIGHUP])]
 
 
-@contextmanager
+@contextlib.contextmanager
 def stop_on_signals() -> Iterator[Stop]:
     """Make SIGINT, SIGTERM and SIGHUP set a flag only, within this context; an ignored SIGHUP stays ignored."""
     stop = Stop()
