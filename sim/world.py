@@ -36,7 +36,8 @@ from sim.models.kinematics import POINT
 from sim.models.randomness import BUILDING_FIELDS
 from sim.models.trajectories import NO_TRAJECTORY, keep_trajectory, received_trajectory
 from sim.scenario.building_tables import run_buildings
-from sim.scenario.types import LinkTable, Scenario, Uav
+from sim.scenario.types import LinkTable, Scenario
+from sim.scenario.vehicle_types import Uav
 
 _CODES = {text: code for code, text in UNCERTIFIED.items()}
 

@@ -35,7 +35,8 @@ from sim.compiling.records import fresh, records
 from sim.engine.briefing import uav_briefing
 from sim.models.safety import SafetyBounds, safety_bounds
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import LinkTable, Scenario, Uav, Ugv
+from sim.scenario.types import LinkTable, Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 from sim.server.flight import Flight
 
 V_A, U_A, V_G, U_G = 0.6, 0.3, 0.2, 0.1  # the paper's vehicles: speeds [m/s], accelerations [m/s²]

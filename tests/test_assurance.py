@@ -27,7 +27,8 @@ from sim.engine.monitor import NEVER, ArrivalRecord, Evidence
 from sim.engine.world_state import Vehicle
 from sim.models.trajectories import NO_TRAJECTORY, no_trajectories
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Certificate, LinkTable, Scenario, Ugv
+from sim.scenario.types import Certificate, LinkTable, Scenario
+from sim.scenario.vehicle_types import Ugv
 from sim.server.assurance import Assurance
 from sim.server.flight import Flight
 from tabular import words

@@ -13,7 +13,8 @@ from flights import DT, R_V, U_A, V_A, escort, tracks
 from outrider.running.flying import fly
 from properties import PROPERTY
 from sim.models.vehicles import State, norm, step_vehicle
-from sim.scenario.types import Detections, Uav, Ugv
+from sim.scenario.types import Detections
+from sim.scenario.vehicle_types import Uav, Ugv
 
 WIDTH, HEIGHT = 16.0, 12.0
 AREA = Area(width=WIDTH, height=HEIGHT, cell=0.5)

@@ -22,7 +22,8 @@ from sim.models.hazards import BLOCK
 from sim.scenario.building_tables import max_building_height
 from sim.scenario.checks import check_scenario
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import BuildingField, Buildings, Ground, HazardField, Scenario, Uav, Ugv
+from sim.scenario.types import BuildingField, Buildings, Ground, HazardField, Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 from sim.world import World
 from towns import HOUSE, UNKNOWN_MAP, as_reported, distances, drawn, scenario
 

@@ -24,7 +24,8 @@ from sim.scenario.checks import check_scenario, scenario_warnings
 from sim.scenario.clearance import guaranteed_clearance
 from sim.scenario.ground_types import HazardField
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Ground, Scenario, Uav, Ugv
+from sim.scenario.types import Ground, Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 from sim.scene.ground_map import KNOWN, UNKNOWN, ground_map
 from sim.world import World
 from test_ground_flights import assert_batch_flies_alike

@@ -22,7 +22,8 @@ from outrider.recording.refly import refly, restore
 from outrider.view.film import Film
 from sim.models.buildings import building_table, line_of_sight
 from sim.scenario.ground_types import AltitudeLaw, HazardField
-from sim.scenario.types import Scenario, Sensor, Uav, Ugv, Visibility
+from sim.scenario.types import Scenario, Sensor, Visibility
+from sim.scenario.vehicle_types import Uav, Ugv
 from sim.scene.altitude import HiddenGround, ring_radius
 from sim.scene.colors import INK, building
 from sim.scene.drawing import Map, legend_of

@@ -22,7 +22,8 @@ from sim.engine.batch import arrays_of
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
 from sim.scenario.loading import given_scenario, load_scenario
-from sim.scenario.types import Certificate, Detections, LinkTable, Scenario, Uav, Wind
+from sim.scenario.types import Certificate, Detections, LinkTable, Scenario, Wind
+from sim.scenario.vehicle_types import Uav
 from sim.server.flight import Flight
 from worlds import FLOWN, POOR, SCENARIOS, raw, small
 

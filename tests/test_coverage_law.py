@@ -38,7 +38,8 @@ from outrider.running.flying import fly
 from properties import PROPERTY
 from sim.models.sensor import SensorParameters
 from sim.models.vehicles import State, clip_norm, norm, step_vehicle
-from sim.scenario.types import Scenario, Uav, Ugv, Visibility
+from sim.scenario.types import Scenario, Visibility
+from sim.scenario.vehicle_types import Uav, Ugv
 
 numbers = st.floats(-100.0, 100.0)
 UNBOUNDED = {"max_speed": math.inf, "max_acceleration": math.inf}

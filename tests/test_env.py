@@ -20,7 +20,8 @@ from sim.engine.briefing import briefing
 from sim.env.spaces import FREE_ACCELERATION, extent_of
 from sim.models.vehicles import clip_norm
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Detections, Uav
+from sim.scenario.types import Detections
+from sim.scenario.vehicle_types import Uav
 from sim.world import World
 from worlds import BLURRED, FAST, FREE, ONE, POOR, SEVERAL, equal
 

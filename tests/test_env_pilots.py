@@ -14,7 +14,8 @@ from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Custom, Detections, Uav, Ugv
+from sim.scenario.types import Custom, Detections
+from sim.scenario.vehicle_types import Uav, Ugv
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "environment.py"
 NOISY = pairs(

@@ -18,7 +18,8 @@ from outrider.envs.vector import parallel_vector_env, vector_env
 from outrider.registration import ESCORT
 from refusals import refused
 from sim.env.view import Window
-from sim.scenario.types import Scenario, Uav, Ugv
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 from sim.scene.colors import LIMIT, UAV, UGV
 
 SCENARIO = Scenario(

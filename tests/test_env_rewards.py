@@ -14,7 +14,7 @@ from flights import escort, pairs
 from outrider.envs.parallel import parallel_env
 from pages import PAGES, ROOT, blocks, run_shown
 from sim.env.rewards import RewardWeights, full_error
-from sim.scenario.types import Uav, Ugv
+from sim.scenario.vehicle_types import Uav, Ugv
 
 STILL = np.zeros(2)
 

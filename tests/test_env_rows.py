@@ -15,7 +15,8 @@ from outrider.envs.parallel import parallel_env
 from row_messages import uav_observation, ugv_observation
 from sim.models.field import coverage_gradient
 from sim.models.sensor import SensorParameters
-from sim.scenario.types import Coverage, Detections, Uav, Ugv, Wind
+from sim.scenario.types import Coverage, Detections, Wind
+from sim.scenario.vehicle_types import Uav, Ugv
 from sim.server.flight import Flight
 from sim.world import World
 from worlds import BLURRED, FAST

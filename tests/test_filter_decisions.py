@@ -23,7 +23,8 @@ from bus.messages.vehicle import MOST_CARRIED, UavBriefing
 from flights import DECLARED_BOUNDS, DT, U_A, briefing_of, certified, escort, uav_sees
 from sim.engine.batch import arrays_of
 from sim.models.vehicles import State
-from sim.scenario.types import Certificate, LinkTable, Uav
+from sim.scenario.types import Certificate, LinkTable
+from sim.scenario.vehicle_types import Uav
 from sim.world import World
 
 

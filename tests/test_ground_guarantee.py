@@ -18,7 +18,8 @@ from sim.models.ground import CLEAR, NOT_OWN, UNCERTIFIED, UNSEEN, block_letters
 from sim.models.hazards import BLOCK
 from sim.scenario.checks import check_scenario
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Ground, LinkTable, Scenario, Ugv
+from sim.scenario.types import Ground, LinkTable, Scenario
+from sim.scenario.vehicle_types import Ugv
 from sim.server.flight import Flight
 from sim.world import World
 from test_seen_ground import scenario_with

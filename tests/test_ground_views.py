@@ -35,7 +35,8 @@ from outrider.view.flight_picture import draw_flight
 from outrider.view.terminal.palette import UGV
 from outrider.view.terminal.teleoperation import DriveView
 from outrider.view.terminal.topview import Trails, draw
-from sim.scenario.types import Ground, Scenario, Ugv
+from sim.scenario.types import Ground, Scenario
+from sim.scenario.vehicle_types import Ugv
 from sim.scene.colors import HAZARDS, LIMIT
 from sim.scene.drawing import Map
 from sim.scene.ground_map import HIT, KNOWN, UNKNOWN, ground_map

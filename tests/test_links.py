@@ -19,7 +19,8 @@ from outrider.running.resolve import resolve
 from refusals import SMALL, refusal
 from sim.scenario.loading import load_scenario
 from sim.scenario.resolved import as_toml, read_resolved
-from sim.scenario.types import Detections, LinkTable, Ugv
+from sim.scenario.types import Detections, LinkTable
+from sim.scenario.vehicle_types import Ugv
 from sim.server.flight import Flight
 from staging import stage
 

@@ -26,7 +26,8 @@ from properties import PROPERTY
 from reference_field import FloatGrid
 from sim.models.vehicles import step_vehicle
 from sim.scenario.laws import largest_circle_rate
-from sim.scenario.types import Scenario, Uav, Ugv
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 from sim.server.flight import Flight
 
 numbers = st.floats(-100.0, 100.0)

@@ -32,7 +32,8 @@ from flights import (
 from outrider.running.flying import InProcess, fly, make_pilots
 from properties import PROPERTY
 from sim.models.vehicles import goal_reached, norm, step_vehicle
-from sim.scenario.types import Detections, Uav, Ugv
+from sim.scenario.types import Detections
+from sim.scenario.vehicle_types import Uav, Ugv
 from sim.server.flight import Flight
 
 Point = tuple[float, float]

@@ -15,7 +15,8 @@ from bus.ticks import detection_rows
 from flights import DT, HERE, escort
 from outrider.running.flying import InProcess, fly, make_pilots
 from sim.engine.monitor import NEVER
-from sim.scenario.types import Detections, LinkTable, Scenario, Uav, Ugv
+from sim.scenario.types import Detections, LinkTable, Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 from sim.server import recorder
 from sim.server.flight import Flight
 

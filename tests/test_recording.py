@@ -59,7 +59,8 @@ from outrider.recording.schemas import (
 from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import summarize
-from sim.scenario.types import Detections, Scenario, Uav, Ugv
+from sim.scenario.types import Detections, Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 from sim.server.flight import Flight
 from tabular import words
 

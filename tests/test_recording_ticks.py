@@ -25,7 +25,8 @@ from outrider.recording.schemas import Commands, OperatorCommand, head_of
 from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import InProcess, make_pilots
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Detections, Scenario, Ugv
+from sim.scenario.types import Detections, Scenario
+from sim.scenario.vehicle_types import Ugv
 from sim.server.flight import Flight
 
 PAIRS = pairs(

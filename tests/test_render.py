@@ -16,7 +16,8 @@ from flights import escort, pairs
 from outrider import style
 from outrider.running.flying import fly
 from outrider.view.flight_picture import SIZE, draw_flight, flight_figure
-from sim.scenario.types import Detections, Uav, Ugv
+from sim.scenario.types import Detections
+from sim.scenario.vehicle_types import Uav, Ugv
 from sim.scene.drawing import Map
 from sim.scene.known import geometry_of, scene_of
 from sim.scene.model import Moment, observed_scene

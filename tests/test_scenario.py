@@ -22,7 +22,7 @@ from sim.models.vehicles import step_vehicle
 from sim.scenario import laws
 from sim.scenario.checks import check_scenario, scenario_warnings
 from sim.scenario.loading import load_scenario, scenario_names
-from sim.scenario.types import Uav
+from sim.scenario.vehicle_types import Uav
 
 STRAIGHT_LINE = tuple(name for name in SHIPPED if name.startswith(("circle", "figure")))
 ESCORT = load_scenario("escort")

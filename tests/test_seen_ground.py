@@ -14,7 +14,8 @@ from flights import Piloted, altered
 from outrider.running.flying import InProcess, make_pilots
 from sim.models.ground import CLEAR
 from sim.models.hazards import BLOCK, ROUGH
-from sim.scenario.types import Ground, Scenario, Ugv
+from sim.scenario.types import Ground, Scenario
+from sim.scenario.vehicle_types import Ugv
 from sim.server.flight import Flight
 from sim.server.perception import UgvPerception
 from sim.world import World

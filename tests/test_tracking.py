@@ -37,7 +37,7 @@ from properties import PROPERTY
 from reference_field import FloatGrid
 from sim.models.field import empty_coverage
 from sim.models.vehicles import State, step_vehicle
-from sim.scenario.types import Uav, Ugv
+from sim.scenario.vehicle_types import Uav, Ugv
 
 A_C, B_C, C_C, D_C = -3.0, -3.0, -8.0 / 3.0, -3.0
 numbers = st.floats(-10.0, 10.0)

@@ -18,7 +18,8 @@ from outrider.running.flying import fly
 from properties import PROPERTY
 from sim.models.vehicles import raw_switching_radius
 from sim.scenario.laws import switching_radius_is_positive
-from sim.scenario.types import Coverage, Scenario, Uav, Ugv
+from sim.scenario.types import Coverage, Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 
 speeds = st.floats(0.01, 5.0)
 

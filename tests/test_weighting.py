@@ -27,7 +27,7 @@ from flights import HERE, R_S, escort, flown_law, target_at
 from outrider.running.flying import fly
 from properties import PROPERTY
 from sim.models.vehicles import State, norm
-from sim.scenario.types import Ugv
+from sim.scenario.vehicle_types import Ugv
 
 K_BETA, LIMIT = 20.0, 100.0
 SHIPPED = ("linear", "switching", "logarithmic")

@@ -25,7 +25,8 @@ from sim.models.inner_loop import (
     tracking_error,
 )
 from sim.scenario.checks import check_scenario
-from sim.scenario.types import Certificate, LinkTable, Uav, Wind
+from sim.scenario.types import Certificate, LinkTable, Wind
+from sim.scenario.vehicle_types import Uav
 from sim.world import World
 from worlds import LOSSY, SCENARIOS, small, step
 

@@ -16,7 +16,8 @@ from sim.engine.run_keys import derive_keys
 from sim.models.detection import detect
 from sim.models.randomness import DETECTION_CHANCE, DETECTION_NOISE
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Coverage, Detections, Scenario, Uav, Ugv
+from sim.scenario.types import Coverage, Detections, Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 from sim.server.flight import Flight
 from sim.world import World
 

@@ -14,7 +14,8 @@ from sim.models.hazards import BLOCK, distance_to_hazard
 from sim.models.randomness import BUILDING_FIELDS
 from sim.scenario.building_tables import run_buildings
 from sim.scenario.checks import check_scenario
-from sim.scenario.types import Scenario, Ugv
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Ugv
 
 HOUSE = Building(polygon=((10.0, 10.0), (14.0, 10.0), (14.0, 14.0), (10.0, 14.0)), height=5.0)
 PASSING = Ugv(position=(7.0, 8.8), goals=((17.0, 8.8),), building_clearance=1.5)

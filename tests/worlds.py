@@ -12,7 +12,8 @@ from bus.profiles import PROFILES
 from flights import escort
 from sim.engine.batch import Batch
 from sim.env.rewards import RewardWeights
-from sim.scenario.types import Area, Certificate, Detections, LinkTable, Scenario, Uav, Ugv, Wind
+from sim.scenario.types import Area, Certificate, Detections, LinkTable, Scenario, Wind
+from sim.scenario.vehicle_types import Uav, Ugv
 from tabular import words
 
 LATE = msgspec.structs.replace(

@@ -31,7 +31,7 @@ class UgvParameters(msgspec.Struct, frozen=True, kw_only=True):
     goal_tolerance: float
     """Distance below which a goal counts as reached [m]."""
     kinematics: Kinematics
-    """How it moves: in any direction, or along its heading."""
+    """Kinematics: it moves in any direction, or along its heading."""
 
 
 class DriverInputs(NamedTuple):

@@ -163,7 +163,7 @@ class UgvBriefing(VehicleBriefing, frozen=True, kw_only=True):
     script: tuple[ScriptStep, ...] = ()
     """Steps of the driver `script`, by increasing time."""
     kinematics: Name = DEFAULT_KINEMATICS
-    """How it moves, one of `bus.registry.KINEMATICS`."""
+    """Kinematics, one of `bus.registry.KINEMATICS`."""
     track: Positive | None = None
     """Distance between the wheels of a differential drive [m]."""
     max_curvature: Positive | None = None

@@ -29,6 +29,7 @@ MODULES = {
         "outrider/running/flying.py",
         "sim/scenario/loading.py",
         "sim/scenario/types.py",
+        "sim/scenario/vehicle_types.py",
         "sim/world.py",
     ),
     "Vehicles": (

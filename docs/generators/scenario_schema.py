@@ -18,7 +18,7 @@ from bus.messages import links, scenario
 from bus.messages.links import LinkKind
 from bus.profiles import SHIPPED
 from bus.registry import LAWS
-from sim.scenario import types
+from sim.scenario import types, vehicle_types
 from sim.scenario.types import Scenario
 
 FILE = Path(types.__file__).with_name("scenario.schema.json")
@@ -54,7 +54,9 @@ def scenario_schema() -> dict[str, Any]:
     schema = msgspec.json.schema(Scenario)
     tables = schema["$defs"]
     for name, table in tables.items():
-        struct = next(vars(m)[name] for m in (types, scenario, links) if name in vars(m))
+        struct = next(
+            vars(m)[name] for m in (types, vehicle_types, scenario, links) if name in vars(m)
+        )
         docs = field_docs(struct) if "properties" in table else {}
         for field, entry in docs.items():
             table["properties"][field]["description"] = entry

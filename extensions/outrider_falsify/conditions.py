@@ -20,12 +20,11 @@ from sim.scenario.types import (
     Detections,
     LinkTable,
     Scenario,
-    Uav,
-    Ugv,
     VehicleLinks,
     Visibility,
     Wind,
 )
+from sim.scenario.vehicle_types import Uav, Ugv
 
 ANY = -1
 """Placeholder for an adversary's code: draw one for each run.

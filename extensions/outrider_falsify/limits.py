@@ -13,7 +13,8 @@ from bus.numbers import above, exact
 from bus.registry import LAWS
 from sim.engine.briefing import uav_briefing
 from sim.scenario.safety import largest_error, safety_parameters
-from sim.scenario.types import DEFAULT_AGE, Certificate, LinkTable, Scenario, Uav, Ugv
+from sim.scenario.types import DEFAULT_AGE, Certificate, LinkTable, Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 
 _NEVER = 1e-9
 """Probability below which a sequence of lost detections is neglected."""

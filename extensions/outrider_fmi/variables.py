@@ -29,7 +29,7 @@ def _plane(name: str, unit: str, about: str) -> tuple[Variable, ...]:
 
 OWN_STATE = _plane("position", "m", "Own position") + _plane("velocity", "m/s", "Own velocity")
 HEADING = (Variable("heading", "rad", "Heading, from east to north"),)
-"""Of a UGV that steers."""
+"""Heading of a UGV that steers."""
 ALTITUDE = (
     Variable("altitude", "m", "Altitude above the ground"),
     Variable("climb_rate", "m/s", "Climb rate"),

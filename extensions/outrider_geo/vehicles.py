@@ -16,7 +16,8 @@ from sim.models.hazards import BLOCK
 from sim.models.safety import visible_radius
 from sim.scenario.ground_tables import ground_tables
 from sim.scenario.ground_types import Ground
-from sim.scenario.types import Scenario, Ugv
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Ugv
 
 BoolArray = npt.NDArray[np.bool_]
 

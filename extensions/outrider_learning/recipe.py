@@ -23,7 +23,7 @@ from sim.env.observation import uav_space
 from sim.env.patch import given_patch
 from sim.env.spaces import extent_of
 from sim.scenario.team import mates_of
-from sim.scenario.types import Uav
+from sim.scenario.vehicle_types import Uav
 
 _KINDS: Mapping[str, type[Transformation]] = {
     "egocentric": Egocentric,

@@ -26,7 +26,8 @@ from outrider_networks.probabilities import (
 from outrider_networks.scenario_bounds import check_filtered, commands_of, detections_of
 from sim.channel.description import longest_delay
 from sim.engine.briefing import uav_briefing
-from sim.scenario.types import Scenario, Uav
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav
 
 _MOST = {"loss": 0.999, "delay": 30.0}
 """Largest values that are tried, of a burst and a blackout the duration of the run [s].

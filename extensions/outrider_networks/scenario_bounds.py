@@ -23,7 +23,8 @@ from outrider_networks.probabilities import (
 )
 from sim.input.faults import Fault
 from sim.scenario.safety import command_delay, largest_noise, safety_parameters
-from sim.scenario.types import Scenario, Uav
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav
 
 NEARLY_CERTAIN = 0.999
 """Probability within a run above which text calls it certain."""

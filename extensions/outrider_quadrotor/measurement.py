@@ -13,7 +13,8 @@ from outrider_quadrotor.quadrotor import Quadrotor
 from outrider_quadrotor.references import REFERENCES, Bounds, Planar, Reference, influences
 from sim.compiling.compile import FloatArray
 from sim.models.body import Motion, ReferenceTick
-from sim.scenario.types import Scenario, Uav
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav
 
 BODY = "quadrotor"
 OWN = "the scenario's flights"

@@ -10,7 +10,8 @@ from bus.numbers import exact
 from bus.plugins import needs
 from outrider_quadrotor.control import Gains, control
 from sim.models.body import Influences, Motion, ReferenceTick, Vector3
-from sim.scenario.types import Scenario, Uav
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav
 
 with needs("quadrotor", "uav.body = 'quadrotor'"):
     import mujoco

@@ -29,7 +29,7 @@ from sim.engine.world_state import BatchState, BatchTables
 from sim.models.endurance import next_charge
 from sim.models.vehicles import State
 from sim.scenario.team import endurance_of, mates_of, teams_of
-from sim.scenario.types import Uav
+from sim.scenario.vehicle_types import Uav
 
 _ROUNDING = 1.0
 """Flight time that a UAV may have left beyond the flight to its base when it leaves exhausted [s]."""

@@ -21,7 +21,8 @@ from sim.env.observation import Array
 from sim.env.spaces import box, extent_of
 from sim.models.field import coverage_error, coverage_shares
 from sim.scenario.kinematics import steers
-from sim.scenario.types import Scenario, Uav, Ugv
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 
 
 def _table(vehicle: Uav | Ugv, *, teamed: bool) -> Table:

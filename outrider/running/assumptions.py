@@ -46,7 +46,8 @@ from sim.models.safety import SafetyBounds
 from sim.scenario.clearance import report_faults
 from sim.scenario.ground_tables import ground_tables
 from sim.scenario.safety import largest_tracking_error, noise_range, safety_parameters
-from sim.scenario.types import LinkTable, Scenario, Uav, Ugv
+from sim.scenario.types import LinkTable, Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 
 GUIDE = "docs/how-to/keep-sight.md"
 """Page that explains the bounds of a certificate and how to choose them."""

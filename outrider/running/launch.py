@@ -25,7 +25,8 @@ from outrider.running.parent import Output, Start
 from outrider.running.run_folder import run_folder
 from outrider.running.summary import Process, Summary
 from sim.scenario.resolved import as_toml
-from sim.scenario.types import Scenario, Uav, Ugv
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 
 _EVENT_DELAY = 3.0
 """Delay of an event before the first tick [s]: it is dropped if a vehicle's error ends the run."""

@@ -7,7 +7,8 @@ from agents.safety.discs import MARGIN
 from agents.safety.levels import bounds_of
 from agents.safety.search import search_time
 from sim.engine.briefing import uav_briefing
-from sim.scenario.types import Scenario, Uav
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav
 
 _NEAR = 2.0
 """Distance of the first time, in radii of sight."""

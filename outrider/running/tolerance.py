@@ -19,7 +19,8 @@ from sim.engine.briefing import uav_briefing
 from sim.models.safety import SafetyBounds
 from sim.scenario.checks import check_scenario
 from sim.scenario.safety import largest_noise
-from sim.scenario.types import Scenario, Uav
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav
 
 _PRECISION = 2.0**-10
 """Relative precision of a search."""

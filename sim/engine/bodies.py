@@ -15,7 +15,8 @@ from sim.engine.world_state import BatchState
 from sim.models.body import Body, Influences, Motion, ReferenceTick
 from sim.models.randomness import BODY
 from sim.models.reported import Reported
-from sim.scenario.types import Scenario, Uav
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav
 
 
 class Bodies:

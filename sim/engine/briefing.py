@@ -19,7 +19,8 @@ from sim.scenario.building_tables import max_building_height, run_buildings
 from sim.scenario.clearance import clearance_fault, guaranteed_clearance
 from sim.scenario.safety import safety_parameters
 from sim.scenario.team import briefed_team, endurance_of, mates_of
-from sim.scenario.types import Scenario, Uav, Ugv, altitude_limits
+from sim.scenario.types import Scenario, altitude_limits
+from sim.scenario.vehicle_types import Uav, Ugv
 
 
 def limits(vehicle: Uav | Ugv) -> Limits:

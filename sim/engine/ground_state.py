@@ -12,7 +12,8 @@ from sim.engine.briefing import can_hide
 from sim.models.ground import TileArray
 from sim.scenario.clearance import clearance_fault
 from sim.scenario.ground_tables import ground_tables, world_corners
-from sim.scenario.types import Scenario, Ugv
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Ugv
 
 TickArray = npt.NDArray[np.int32]
 """Ticks, counted from 1; 0: never."""

@@ -16,7 +16,8 @@ from sim.models.randomness import (
     TEAM_LINK,
 )
 from sim.scenario.team import mates_of
-from sim.scenario.types import Scenario, Uav, Ugv
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 
 ENGINE_LINKS = (LinkKind.DETECTIONS, LinkKind.COMMANDS)
 """Kinds of links that the engine's tick handles."""

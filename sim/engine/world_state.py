@@ -23,7 +23,8 @@ from sim.models.randomness import RUN_PURPOSES, WordArray
 from sim.models.sensor import SensorParameters, sensor_parameters
 from sim.models.wind import DisturbanceParameters
 from sim.scenario.kinematics import initial_heading
-from sim.scenario.types import Scenario, Uav, Ugv, altitude_limits
+from sim.scenario.types import Scenario, altitude_limits
+from sim.scenario.vehicle_types import Uav, Ugv
 
 
 class WorldParameters(NamedTuple):

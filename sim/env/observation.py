@@ -26,7 +26,8 @@ from sim.env.spaces import box, extent_of
 from sim.models.ground import OUTSIDE, TileArray, tile_patches
 from sim.scenario.kinematics import steers
 from sim.scenario.team import mates_of
-from sim.scenario.types import Scenario, Uav, Ugv
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 
 _X = names(UGV).index("x")
 

@@ -14,7 +14,8 @@ from sim.engine.run_keys import derive_key
 from sim.input.faults import near, shown
 from sim.models.randomness import RANGES
 from sim.scenario.checks import check_scenario
-from sim.scenario.types import Scenario, Uav, Ugv
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 
 _LIMITS = ("max_speed", "max_acceleration")
 _FIELDS: Mapping[str, Sequence[str]] = {

@@ -19,7 +19,8 @@ from sim.env.rewards import UAV_TERMS, RewardWeights, full_error, uav_terms, ugv
 from sim.env.settings import Settings
 from sim.models.vehicles import next_goal, norm
 from sim.scenario.team import observer_rows
-from sim.scenario.types import Scenario, Uav
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav
 
 
 class Standing:

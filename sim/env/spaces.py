@@ -9,7 +9,8 @@ from gymnasium import spaces
 from bus.observations import OMITTED, ROUNDING, largest
 from sim.env.actions import PLANAR, REQUEST, SPATIAL
 from sim.scenario.safety import largest_error
-from sim.scenario.types import Scenario, Uav, Ugv, altitude_limits
+from sim.scenario.types import Scenario, altitude_limits
+from sim.scenario.vehicle_types import Uav, Ugv
 
 FREE_ACCELERATION = 10.0
 """Bound of the action space for an unbounded acceleration [m/s²]: about gravity."""

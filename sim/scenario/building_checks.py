@@ -15,7 +15,8 @@ from sim.scenario.building_tables import highest_building, most_buildings
 from sim.scenario.clearance import clearance_fault, enlargement, least_distance
 from sim.scenario.polygon_checks import first_contact, polygon_faults
 from sim.scenario.stops import all_stops
-from sim.scenario.types import Scenario, Ugv, altitude_limits
+from sim.scenario.types import Scenario, altitude_limits
+from sim.scenario.vehicle_types import Ugv
 from sim.scenario.world_checks import Check, escorts
 
 _VERTICAL = (

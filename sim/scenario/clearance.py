@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 from bus.numbers import exact
 from bus.registry import CAUTIONS, DRIVERS
-from sim.scenario.types import Scenario, Ugv
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Ugv
 
 _TILES_TO_STOP = 1.5
 """Tiles between the clearance of a building and a free point, or tile: more than the diagonal of a tile."""

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from bus.numbers import exact
 from bus.registry import DEFAULT_KINEMATICS, KINEMATICS
 from sim.input.faults import Fault, unknown_name
-from sim.scenario.types import Scenario, Ugv
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Ugv
 
 _NEEDS = {"differential": "track", "ackermann": "max_curvature"}
 """Field that each kind of kinematics needs, and no other kind has."""

@@ -17,7 +17,8 @@ from bus.numbers import above, at_least, at_most, exact
 from bus.registry import LAWS
 from sim.input.faults import Fault, near, unknown_name
 from sim.input.reading import type_fault
-from sim.scenario.types import Scenario, Uav, Ugv, switching_radius
+from sim.scenario.types import Scenario, switching_radius
+from sim.scenario.vehicle_types import Uav, Ugv
 from sim.scenario.world_checks import escorts
 
 _ROUNDING = 1e-9

@@ -9,7 +9,8 @@ from bus.registry import BODIES
 from sim.channel.description import longest_delay
 from sim.models.camera import noise_at
 from sim.models.inner_loop import tracking_error
-from sim.scenario.types import DEFAULT_AGE, Scenario, Uav, altitude_limits
+from sim.scenario.types import DEFAULT_AGE, Scenario, altitude_limits
+from sim.scenario.vehicle_types import Uav
 
 
 def noise_range(scenario: Scenario, uav: Uav) -> tuple[float, float]:

@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 from bus.messages.base import Vector
 from bus.registry import DRIVERS
-from sim.scenario.types import Scenario, Ugv
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Ugv
 
 
 def stops(ugv: Ugv) -> tuple[Vector, ...]:

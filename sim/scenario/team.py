@@ -14,7 +14,8 @@ from sim.models.endurance import CERTIFYING, RESERVE, farthest_in_area, reach_ti
 from sim.models.safety import visible_radius
 from sim.scenario.building_tables import max_building_height
 from sim.scenario.safety import safety_parameters
-from sim.scenario.types import Scenario, Uav, Ugv, altitude_limits
+from sim.scenario.types import Scenario, altitude_limits
+from sim.scenario.vehicle_types import Uav, Ugv
 
 _ROUNDING = 1e-9
 _PRECISION = 0.01

@@ -10,7 +10,8 @@ import msgspec
 from bus.errors import ScenarioError
 from bus.files import open_regular
 from bus.messages.scenario import ScriptStep
-from sim.scenario.types import Scenario, Ugv
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Ugv
 
 _MOST_BYTES = 32 << 20
 """Maximum size of a trajectory file [bytes]: more than an hour of two vehicles."""

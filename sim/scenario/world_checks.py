@@ -14,7 +14,8 @@ from bus.registry import DEFAULT_BODY
 from sim.channel.description import least_ticks, link_faults, link_parameters
 from sim.input.faults import Fault, is_whole
 from sim.models.inner_loop import needed_reserve, tracking_error
-from sim.scenario.types import Scenario, Uav, Ugv
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav, Ugv
 
 Check = Callable[[Scenario], Iterator[Fault]]
 

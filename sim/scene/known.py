@@ -10,7 +10,8 @@ from sim.engine.briefing import limits
 from sim.models.kinematics import kinematics_of, largest_turn_rate
 from sim.scenario.kinematics import steers
 from sim.scenario.team import teams_of
-from sim.scenario.types import Scenario, Ugv, switching_radius
+from sim.scenario.types import Scenario, switching_radius
+from sim.scenario.vehicle_types import Ugv
 from sim.scenario.world_checks import escorts
 from sim.scene.model import Scene, Space, assembled
 

@@ -18,7 +18,8 @@ from sim.engine.monitor import (
     reset_filter,
 )
 from sim.models.safety import SafetyBounds
-from sim.scenario.types import Scenario, Uav
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav
 
 _NEVER_SUPERVISED = -2
 """Initial value for the last supervised tick: the tick before tick 0 is -1."""

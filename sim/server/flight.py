@@ -26,7 +26,8 @@ from bus.registry import EXTERNAL
 from sim.compiling.compile import FloatArray
 from sim.engine.run_keys import check_seed
 from sim.scenario.laws import law_title, with_law
-from sim.scenario.types import NO_UAV, Scenario, Uav
+from sim.scenario.types import NO_UAV, Scenario
+from sim.scenario.vehicle_types import Uav
 from sim.server.answers import Answers
 from sim.server.clearance_watch import ClearanceWatch
 from sim.server.perception import News, Perception, UavPerception, UgvPerception

@@ -15,7 +15,7 @@ from bus.messages.telemetry import VehicleStatus
 from bus.messages.vehicle import Command, Observation, UavCommand, UgvCommand
 from bus.session import Envelope, Outbox, Session
 from sim.engine.briefing import briefing
-from sim.scenario.types import Uav
+from sim.scenario.vehicle_types import Uav
 from sim.server.flight import Flight
 
 PART = 1000

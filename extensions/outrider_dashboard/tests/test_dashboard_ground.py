@@ -11,7 +11,8 @@ from outrider.recording.reader import flight_of, grounds
 from outrider_dashboard.hub import Hub
 from outrider_dashboard.sources.recorded import RecordedRun
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Ground, Hazard, Scenario, Ugv
+from sim.scenario.types import Ground, Hazard, Scenario
+from sim.scenario.vehicle_types import Ugv
 from worlds import small
 
 HAZARDS = (

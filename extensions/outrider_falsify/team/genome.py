@@ -23,7 +23,8 @@ from outrider_falsify.genome import (
     with_script,
 )
 from outrider_falsify.limits import SearchLimits
-from sim.scenario.types import Scenario, Uav
+from sim.scenario.types import Scenario
+from sim.scenario.vehicle_types import Uav
 
 PAIR = SIZES["adversary"]
 """Number of parameters of start, network and UGV; the parameters of the attack follow."""

@@ -22,7 +22,7 @@ from refusals import refused
 from sim.env.observation import ObservationFormat, one_of_world
 from sim.env.settings import settings_of
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Ugv
+from sim.scenario.vehicle_types import Ugv
 from worlds import FREE, ONE, equal
 
 PATCH = (9, 0.7)

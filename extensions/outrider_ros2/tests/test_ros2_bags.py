@@ -37,7 +37,7 @@ from outrider_ros2.interfaces import decode, encode, make, type_hash, type_store
 from outrider_ros2.ros_bag import RECORDS_QOS, RosBag, copy_flight
 from outrider_ros2.run_view import view_of
 from outrider_ros2.topics import TOPICS, messages_of
-from sim.scenario.types import Ugv
+from sim.scenario.vehicle_types import Ugv
 from sim.scene.known import geometry_of
 from sim.server.flight import Flight
 
