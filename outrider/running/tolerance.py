@@ -271,7 +271,15 @@ def smallest_changes(scenario: Scenario, uav: Uav) -> tuple[Change, ...]:
             shown = at_least(value, 4) if one.raise_it else at_most(value, 4)
             word = "from" if one.raise_it else "up to"
             found.append(Change(one.path, now, f"{word} {shown} {one.unit}"))
-    return tuple(found)
+    return (*found, *_declarations(scenario, uav))
+
+
+def _declarations(scenario: Scenario, uav: Uav) -> Iterator[Change]:
+    """Yield the bounds that are unbounded because the scenario declares none, such as the tracking error of a body."""
+    for one in tolerances(scenario, uav):
+        if math.isinf(one.declared) and one.largest is not None:
+            allowed = f"up to {at_most(one.largest, 4)} {one.bound.unit}"
+            yield Change(f"certificate.{one.bound.field}", math.inf, allowed)
 
 
 class Verdict(NamedTuple):

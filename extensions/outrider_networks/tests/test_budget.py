@@ -1,6 +1,7 @@
 """The network budget: its limits hold, and a little more breaks a bound; the command and its errors."""
 
 import json
+import math
 from typing import Any
 
 import msgspec
@@ -74,10 +75,15 @@ def test_a_scenario_without_a_certificate_has_no_budget() -> None:
         ({"ugv.0.max_speed": 0.55}, {"ugv.0.max_speed"}),
         ({"certificate.max_measurement_age": 30.0}, {"certificate.max_measurement_age"}),
         ({"detections.noise": 1.0}, {"detections.noise"}),
+        ({"uav.0.body": "reported"}, {"certificate.max_tracking_error"}),
+        (
+            {"detections.noise": 0.1, "detections.truncation": math.inf},
+            {"certificate.max_measurement_error"},
+        ),
     ],
 )
 def test_smallest_changes_make_sight_certifiable(
-    changes: dict[str, float], fields: set[str]
+    changes: dict[str, float | str], fields: set[str]
 ) -> None:
     scenario = load(**changes)
     uav = scenario.uav[0]
@@ -88,7 +94,7 @@ def test_smallest_changes_make_sight_certifiable(
         value = float(one.allowed.split()[-2])
         mended = load_scenario("escort", overrides=SHORT | changes | {field: value})
         assert certified_bounds(mended, mended.uav[0]) is not None, one.line
-        nearly = value + 0.05 * (one.value - value)
+        nearly = value + 0.05 * (min(one.value, 2.0 * value) - value)
         short = load_scenario("escort", overrides=SHORT | changes | {field: nearly})
         assert certified_bounds(short, short.uav[0]) is None, one.line
 
