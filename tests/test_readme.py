@@ -56,8 +56,9 @@ def test_scenarios_shown_are_valid(tmp_path: Path) -> None:
         (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
         return load_scenario(tmp_path / "mine.toml")
 
-    shown, pairs, laws, hazards, buildings = blocks("toml", "docs/how-to/scenario.md")
+    shown, car, pairs, laws, hazards, buildings = blocks("toml", "docs/how-to/scenario.md")
     assert loaded(shown).title == "Across the yard"
+    assert loaded(car).ugv[0].kinematics == "ackermann"
     assert loaded(f"{shown}\n{hazards}").has_ground
     assert loaded(buildings).has_buildings
     assert [uav.escorts for uav in loaded(pairs).uav] == ["ugv_0", "ugv_1"]

@@ -165,12 +165,13 @@ def test_sight_stays_certified_while_it_evades(kind: dict[str, Any]) -> None:
 
 @KINDS
 def test_a_cautious_ugv_that_steers_enters_no_unknown_tile(kind: dict[str, Any]) -> None:
-    scenario = _steering("minefield", kind, "links.profile=jammed", "duration=600.0")
-    mission = fly(scenario, 1)[1].mission
-    assert mission is not None
-    assert mission.entered_unknown_tile == 0
-    assert mission.hazards_hit == 0
-    assert mission.arrived
+    for profile, arrives in (("perfect", True), ("jammed", False)):  # arrival is not guaranteed
+        changes = (f"links.profile={profile}", "duration=400.0")
+        mission = fly(_steering("minefield", kind, *changes), 1)[1].mission
+        assert mission is not None
+        assert mission.entered_unknown_tile == 0
+        assert mission.hazards_hit == 0
+        assert mission.arrived or not arrives
 
 
 @KINDS
