@@ -52,6 +52,8 @@ _SHARES = (1.0, 0.5, 0.2, 0.05)
 """Shares of the free path ahead within which the UGV tries to stop."""
 _FACING = 0.1
 """Angle to its next point below which a car faces it [rad]."""
+_ROOM = 0.3
+"""Room that a car at rest needs ahead of it to turn [tiles]."""
 _ROUNDING = 1e-9
 """Relative tolerance of the cost per metre of a straight segment, and of the speed on rough ground."""
 
@@ -171,6 +173,25 @@ def _rough_speed(
 
 
 @compiled
+def _faces_closed_ground(
+    parameters: NavigateParameters,
+    memory: OccupancyGrid,
+    ground: Open,
+    own: UgvState,
+    to_x: float,
+    to_y: float,
+) -> bool:
+    """Return whether a car at rest has no room ahead and does not face its next point: it would only creep on."""
+    if parameters.kinematics.kind != ACKERMANN or abs(signed_speed(own)) > REST:
+        return False
+    if abs(angle_to(own, to_x, to_y)) <= _FACING:
+        return False
+    room = _ROOM * parameters.tile
+    ahead = own.p_x + room * math.cos(own.heading), own.p_y + room * math.sin(own.heading)
+    return not segment_is_open(memory.tiles, parameters.tile, ground, (own.p_x, own.p_y), ahead)
+
+
+@compiled
 def drive_towards(
     parameters: NavigateParameters,
     memory: OccupancyGrid,
@@ -193,6 +214,8 @@ def drive_towards(
         if abs(angle) > _FACING:
             return _turn_about(parameters, memory, ground, own, angle)
         memory.flags[0].gear = 0
+    elif _faces_closed_ground(parameters, memory, ground, own, to_x, to_y):
+        return _turn_about(parameters, memory, ground, own, angle_to(own, to_x, to_y))
     speed = _rough_speed(parameters, memory, own, to_x, to_y)
     d_x, d_y = to_x - own.p_x, to_y - own.p_y
     u_x, u_y = goal_control(parameters, own, to_x, to_y, speed)
