@@ -4,6 +4,7 @@ python benchmarks/cautious_changes.py NAME
 
 drivers: 10,000 flights in which an operator and other drivers control the UGV in between, over links that delay, lose
     and reorder commands, and become slower in flight; the UGV may keep a distance from unknown ground.
+steering: the same with UGVs that steer, of which a third keeps a distance from unknown ground, and with turn rates.
 mapped: 10,000 flights with a map of buildings among hazards that the UAV misses, so that the UGV stops in blocked
     tiles, or starts in one; in half of them the drivers change, too.
 
@@ -17,6 +18,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +33,7 @@ from cautious_trials import (
     is_rough,
     near_ticks,
     path_points,
+    steered,
 )
 from markdown_tables import print_chosen
 
@@ -39,9 +42,10 @@ from bus.messages.buildings import Building
 from bus.messages.ground import BLOCK_SIDE, TILE_LETTERS, MapUpdate, TileReport, UgvGround
 from bus.messages.scenario import Area, Limits
 from bus.messages.vehicle import Teleoperation, UgvBriefing, UgvCommand, UgvObservation
+from bus.registry import KINEMATICS
 from sim.models.ground import UNSEEN, TileArray
 from sim.models.hazards import BLOCK
-from sim.models.kinematics import UgvState
+from sim.models.kinematics import POINT, UgvState
 from sim.models.vehicles import brake
 
 RUNS = 10_000
@@ -171,6 +175,15 @@ def _footprints(flight: Flight) -> list[tuple[tuple[float, float], ...]]:
     return found
 
 
+def _kinematics(flight: Flight) -> dict[str, Any]:
+    """Return the fields of a briefing that describe the UGV's kinematics."""
+    own = flight.trial.parameters.kinematics
+    kind = KINEMATICS[own.kind]
+    fields = {"differential": {"track": float(own.track)}}
+    fields["ackermann"] = {"max_curvature": float(own.max_curvature)}
+    return {"kinematics": kind, **fields.get(kind, {})}
+
+
 def briefing(flight: Flight) -> UgvBriefing:
     """Return the briefing of the UGV."""
     trial, ugv = flight.trial, flight.trial.parameters
@@ -183,6 +196,7 @@ def briefing(flight: Flight) -> UgvBriefing:
         limits=Limits(max_speed=float(ugv.max_speed), max_acceleration=bound),
         key="1" * 32,
         driver=flight.changes[0],
+        **_kinematics(flight),
         goals=tuple((float(x), float(y)) for x, y in trial.goals),
         goal_tolerance=float(ugv.goal_tolerance),
         command_timeout=_COMMAND_TIMEOUT,
@@ -218,9 +232,13 @@ class Result:
 
 
 def _operated(flight: Flight, rng: np.random.Generator) -> tuple[Teleoperation, ...]:
-    """Return an operator's message: any velocity, or nothing."""
+    """Return an operator's message: any velocity, or speed and turn rate if the UGV steers, or nothing."""
     if rng.random() < 0.9:
         return ()
+    if flight.trial.parameters.kinematics.kind != POINT and rng.random() < 0.7:
+        speed = float(flight.trial.parameters.max_speed * rng.uniform(-1.0, 1.0))
+        turn_rate = float(rng.choice([0.0, rng.normal(), 1e3 * rng.normal()]))
+        return (Teleoperation(operator="operator", speed=speed, turn_rate=turn_rate),)
     speed = flight.trial.parameters.max_speed * float(rng.choice([1.0, rng.random()]))
     angle = float(rng.uniform(0.0, 2.0 * math.pi))
     velocity = (float(speed * math.cos(angle)), float(speed * math.sin(angle)))
@@ -311,6 +329,7 @@ def fly(flight: Flight, seed: int) -> Result:
                 time=tick * float(ugv.dt),
                 position=(own.p_x, own.p_y),
                 velocity=(own.v_x, own.v_y),
+                heading=None if ugv.kinematics.kind == POINT else own.heading,
                 driver=assigned,
                 tile_reports=ground.own(own.p_x, own.p_y),
                 map_updates=ground.radioed() if trial.teller != "bumper" else (),
@@ -448,12 +467,23 @@ def drivers(runs: int = RUNS) -> Iterator[str]:
     yield from attack(runs, draw_flight)
 
 
+def draw_steering(seed: int) -> Flight:
+    """Draw a flight with changes of the driver of a UGV that steers."""
+    flight = draw_flight(seed)
+    return dataclasses.replace(flight, trial=steered(flight.trial, seed))
+
+
+def steering(runs: int = RUNS) -> Iterator[str]:
+    """Attack UGVs that steer whose drivers change."""
+    yield from attack(runs, draw_steering)
+
+
 def mapped(runs: int = RUNS) -> Iterator[str]:
     """Attack UGVs with a map of buildings."""
     yield from attack(runs, draw_mapped)
 
 
-TABLES = {"drivers": drivers, "mapped": mapped}
+TABLES = {"drivers": drivers, "steering": steering, "mapped": mapped}
 
 
 if __name__ == "__main__":

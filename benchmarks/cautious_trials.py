@@ -176,9 +176,13 @@ def draw_distant_trial(seed: int, *, wheel: str | None = None) -> Trial:
 
 
 def draw_steering_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Trial:
-    """Draw the trial of a seed with a UGV that steers: a differential drive or a car, tight or wide."""
+    """Draw the trial of a seed with a UGV that steers."""
+    return steered(draw_trial(seed, wheel=wheel, calm=calm), seed, calm=calm)
+
+
+def steered(trial: Trial, seed: int, *, calm: bool = False) -> Trial:
+    """Return a trial whose UGV is a differential drive or a car, tight or wide."""
     rng = np.random.default_rng([seed, 3])
-    trial = draw_trial(seed, wheel=wheel, calm=calm)
     tile, ugv = trial.parameters.tile, trial.parameters
     size = tile * float(np.exp(rng.uniform(math.log(0.2), math.log(1.0 if calm else 5.0))))
     car = rng.random() < 0.5

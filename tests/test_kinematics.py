@@ -54,6 +54,17 @@ def test_every_motion_is_one_of_the_double_integrator(kinematics: Kinematics) ->
             state = after
 
 
+def test_it_drives_on_with_the_component_along_its_new_heading() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(2000):
+        state, u = _start(rng), _command(rng)
+        after = step_ugv(CAR, state, *u, (V, U), V, DT)
+        point = step_vehicle(*state[:4], *u, V, U, DT)
+        along = point[2] * math.cos(after.heading) + point[3] * math.sin(after.heading)
+        if norm(after.v_x, after.v_y) > REST:
+            assert signed_speed(after) == pytest.approx(along, abs=1e-12)
+
+
 @KINDS
 def test_turns_keep_their_limit(kinematics: Kinematics) -> None:
     rng = np.random.default_rng(2)

@@ -40,7 +40,7 @@ class Kinematics(NamedTuple):
     """Largest curvature of an Ackermann vehicle's path [1/m]."""
 
 
-class Described(Protocol):
+class HasKinematics(Protocol):
     """Kinematics as a scenario or a briefing describes them."""
 
     @property
@@ -56,7 +56,7 @@ class Described(Protocol):
         """Largest curvature of an Ackermann vehicle's path [1/m]."""
 
 
-def kinematics_of(ugv: Described) -> Kinematics:
+def kinematics_of(ugv: HasKinematics) -> Kinematics:
     """Return the kinematics of a UGV, from its row of the scenario or its briefing."""
     return Kinematics(
         kind=KINEMATICS.index(ugv.kinematics),
