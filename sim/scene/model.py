@@ -71,7 +71,7 @@ class Moment:
     headings: Mapping[str, float] = field(default_factory=dict)
     """Heading of each UGV that steers [rad], from east to north."""
     hidden: Collection[str] = ()
-    """UAVs from which a building hides their UGV."""
+    """UAVs from which their UGV is not visible at any distance."""
 
 
 def headings_of(vehicles: Mapping[str, VehicleTruth]) -> dict[str, float]:
